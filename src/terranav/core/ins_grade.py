@@ -1,0 +1,103 @@
+"""What an estimator is told of the INS, and how such an INS's position error grows.
+
+Short-term error model of an unaided INS on one horizontal axis (e.g. Groves, Principles of GNSS, Inertial and
+Multisensor Integrated Navigation Systems, 2nd ed., section 5.7, undamped Schuler loop of rate w = sqrt(g/R)):
+
+    velocity error:  v0 cos(wt)  +  (b_a + g phi) sin(wt)/w  +  g b_g (1 - cos(wt))/w^2  +  random walk
+
+Only its standard deviation is used here, as an envelope that never shrinks: sin and 1 - cos are held at their first
+maximum.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from terranav.core.checks import finite
+from terranav.core.earth import GRAVITY_MPS2, SCHULER_RAD_PER_S
+
+
+@dataclass(frozen=True)
+class InsGrade:
+    """Quality of an inertial navigation system: 1-sigma values per horizontal axis.
+
+    Attributes
+    ----------
+    position_sigma_m : float
+        Initial position error [m], > 0.
+    velocity_sigma_mps : float
+        Initial velocity error, constant unless the fields below make it grow [m/s].
+    position_walk_m_per_sqrt_s : float
+        Random walk of the position error [m/sqrt(s)].
+    velocity_walk_mps_per_sqrt_s : float
+        Random walk of the velocity error [m/s/sqrt(s)].
+    attitude_sigma_deg, heading_sigma_deg : float
+        Initial tilt per axis and initial heading error [deg].
+    gyro_bias_sigma_deg_per_h, accel_bias_sigma_ug : float
+        Biases, constant over the run [deg/h], [micro-g].
+    gyro_walk_deg_per_sqrt_h, accel_walk_mps_per_sqrt_h : float
+        Angular and velocity random walk of the sensors [deg/sqrt(h)], [m/s/sqrt(h)].
+    name : str
+        Of the grade, for reports.
+
+    Raises
+    ------
+    ConfigError
+        When a value is negative or not finite; position_sigma_m must be positive.
+    """
+
+    position_sigma_m: float = 500.0
+    velocity_sigma_mps: float = 0.5
+    position_walk_m_per_sqrt_s: float = 1.0
+    velocity_walk_mps_per_sqrt_s: float = 0.0
+    attitude_sigma_deg: float = 0.0
+    heading_sigma_deg: float = 0.0
+    gyro_bias_sigma_deg_per_h: float = 0.0
+    accel_bias_sigma_ug: float = 0.0
+    gyro_walk_deg_per_sqrt_h: float = 0.0
+    accel_walk_mps_per_sqrt_h: float = 0.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            if entry.name != "name":
+                above = 0.0 if entry.name == "position_sigma_m" else -math.inf
+                value = finite(f"ins {entry.name}", getattr(self, entry.name), minimum=0.0, above=above)
+                object.__setattr__(self, entry.name, value)
+
+    def velocity_sigma_at_mps(self, elapsed_s: float) -> float:
+        """1-sigma of the velocity error per axis after `elapsed_s` without aiding [m/s] (see the module docstring)."""
+        w, t = SCHULER_RAD_PER_S, elapsed_s
+        tilt_mps2 = GRAVITY_MPS2 * math.radians(self.attitude_sigma_deg)
+        accel_mps2 = GRAVITY_MPS2 * 1e-6 * self.accel_bias_sigma_ug
+        gyro_mps3 = GRAVITY_MPS2 * math.radians(self.gyro_bias_sigma_deg_per_h) / 3600.0
+        gyro_walk = GRAVITY_MPS2 * math.radians(self.gyro_walk_deg_per_sqrt_h) / 60.0  # [m/s^2/sqrt(s)]
+        walk_var = self.velocity_walk_mps_per_sqrt_s**2 + (self.accel_walk_mps_per_sqrt_h / 60.0) ** 2
+        sine = math.sin(min(w * t, math.pi / 2)) / w
+        return math.sqrt(
+            self.velocity_sigma_mps**2
+            + walk_var * t
+            + (tilt_mps2**2 + accel_mps2**2) * sine**2
+            + (gyro_mps3 * (1.0 - math.cos(min(w * t, math.pi))) / w**2) ** 2
+            + gyro_walk**2 * min(t, 1.0 / w) ** 2 * t / 3.0
+        )
+
+    def position_growth_m2(self, elapsed_s: float, dt_s: float, memory_s: float = 30.0) -> float:
+        """Variance per axis that the position error gains between `elapsed_s` and `elapsed_s + dt_s` [m^2].
+
+        For methods that carry no velocity error: it enters as a Gauss-Markov increment of correlation time `memory_s`,
+        so q = walk^2 dt + sigma_v(t)^2 dt max(dt, memory_s). A filter with this q follows a constant drift of one sigma
+        with a lag of about its own sigma, for readings worth tens of metres each (lag^2 = steady-state P).
+
+        Parameters
+        ----------
+        elapsed_s : float
+            Time since the last known state of the INS (the start of the run) [s].
+        dt_s : float
+            Step, >= 0 [s].
+        memory_s : float
+            Correlation time [s].
+        """
+        speed = self.velocity_sigma_at_mps(elapsed_s + dt_s)
+        return (self.position_walk_m_per_sqrt_s**2 + speed**2 * max(dt_s, memory_s)) * dt_s

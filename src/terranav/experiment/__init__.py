@@ -1,0 +1,1 @@
+"""Scenario, stream, run, result, metrics: one loop for simulated, recorded and live epochs."""

@@ -1,0 +1,1 @@
+"""INS grades, drift, and flight simulation on the python-ins package."""

@@ -1,0 +1,1 @@
+"""Map: a scalar field on a regular grid, its sampling, synthetic fields and the sample DEM."""

@@ -1,0 +1,1 @@
+"""Sensor error models, and raw readings turned into measurements."""

@@ -1,0 +1,21 @@
+"""Shared fixtures: the real data that lies beside the repository, where it does."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(os.environ.get("TERRANAV_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real flights, cruises and maps; skips the test where it is not."""
+    folder = SHARED / "data"
+    if not folder.is_dir():
+        pytest.skip(
+            f"real data is not beside the checkout ({folder.name} of 'shared'; set TERRANAV_SHARED to its folder)"
+        )
+    return folder
