@@ -1,0 +1,172 @@
+"""Values of a grid between its cell centres.
+
+Fractional rows and columns count in cell centres: (0.0, 0.0) is the centre of the first cell. The domain is the hull
+of the cell centres with SLACK of a cell around it; outside it, and where a void has a weight above SLACK, the value is
+NaN.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terranav.kernels.jit import jit
+
+SLACK = 1e-6
+
+
+@jit
+def _split(position, size):
+    """First of the two cells around a position within the hull, and the fraction towards the second."""
+    inside = min(max(position, 0.0), size - 1.0)
+    first = min(int(inside), size - 2)
+    return first, inside - first
+
+
+@jit
+def _in_hull(row, col, rows, cols):
+    """Whether a position is on the map; False for NaN."""
+    return row >= -SLACK and row <= rows - 1.0 + SLACK and col >= -SLACK and col <= cols - 1.0 + SLACK
+
+
+@jit
+def _beside_void(values, i, j, u, v):
+    """Bilinear value where a neighbour is void: voids without weight are left out."""
+    total, weights = 0.0, 0.0
+    for a in range(2):
+        for b in range(2):
+            weight = (u if a else 1.0 - u) * (v if b else 1.0 - v)
+            if weight > SLACK:
+                total += weight * values[i + a, j + b]
+                weights += weight
+    return total / weights
+
+
+@jit
+def bilinear_at(values, row, col):
+    """Bilinear value at one position, NaN off the map."""
+    rows, cols = values.shape
+    if not _in_hull(row, col, rows, cols):
+        return np.nan
+    i, u = _split(row, rows)
+    j, v = _split(col, cols)
+    low = (1.0 - v) * values[i, j] + v * values[i, j + 1]
+    high = (1.0 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
+    value = (1.0 - u) * low + u * high
+    return _beside_void(values, i, j, u, v) if np.isnan(value) else value
+
+
+@jit
+def bilinear(values, row, col, out):
+    """Bilinear values at scattered positions.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32, both sizes >= 2, NaN where void
+    row, col : (n,) float64 [cells]
+    out : (n,) float64, written
+    """
+    for k in range(out.size):
+        out[k] = bilinear_at(values, row[k], col[k])
+
+
+@jit
+def _cubic_weights(t, i, size):
+    """Weights of the cells i - 1 .. i + 2; a cell beyond the edge is the straight continuation of the two within.
+
+    Catmull-Rom: Keys, IEEE Trans. ASSP-29 (1981), eq. 4 with a = -1/2.
+    """
+    before = t * (-0.5 + t * (1.0 - 0.5 * t))
+    here = 1.0 + t * t * (-2.5 + 1.5 * t)
+    after = t * (0.5 + t * (2.0 - 1.5 * t))
+    beyond = t * t * (-0.5 + 0.5 * t)
+    if i == 0:
+        here, after, before = here + 2.0 * before, after - before, 0.0
+    if i == size - 2:
+        here, after, beyond = here - beyond, after + 2.0 * beyond, 0.0
+    return before, here, after, beyond
+
+
+@jit
+def bicubic_at(values, row, col):
+    """Bicubic (Catmull-Rom) value at one position, NaN off the map."""
+    rows, cols = values.shape
+    if not _in_hull(row, col, rows, cols):
+        return np.nan
+    i, u = _split(row, rows)
+    j, v = _split(col, cols)
+    by_row = _cubic_weights(u, i, rows)
+    by_col = _cubic_weights(v, j, cols)
+    total, dropped = 0.0, 0.0
+    for a in range(4):
+        for b in range(4):
+            weight = by_row[a] * by_col[b]
+            if weight != 0.0:
+                value = values[i - 1 + a, j - 1 + b]
+                if np.isnan(value) and abs(weight) <= SLACK:
+                    dropped += weight
+                else:
+                    total += weight * value
+    return total / (1.0 - dropped)
+
+
+@jit
+def bicubic(values, row, col, out):
+    """Bicubic (Catmull-Rom) values at scattered positions; continuous slopes, exact on planes up to the edge.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32, both sizes >= 2, NaN where void
+    row, col : (n,) float64 [cells]
+    out : (n,) float64, written
+    """
+    for k in range(out.size):
+        out[k] = bicubic_at(values, row[k], col[k])
+
+
+@jit
+def bilinear_lattice(values, row6, col6, north, east, out):
+    """Bilinear values on the lattice of places north[i], east[j] metres from the origin of a local frame.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32, both sizes >= 2, NaN where void
+    row6, col6 : (6,) float64
+        Coefficients of [1, n, e, n^2, n e, e^2] that give the fractional row and column [cells], as in LocalFrame.
+    north : (p,) float64 [m]
+    east : (q,) float64 [m]
+    out : (p, q) float64, written
+    """
+    rows, cols = values.shape
+    reach = east.max() - east.min()
+    row_bend, col_bend = 0.25 * abs(row6[5]) * reach * reach, 0.25 * abs(col6[5]) * reach * reach
+    for i in range(north.size):
+        n = north[i]
+        r0, r1, r2 = row6[0] + n * (row6[1] + n * row6[3]), row6[2] + n * row6[4], row6[5]
+        c0, c1, c2 = col6[0] + n * (col6[1] + n * col6[3]), col6[2] + n * col6[4], col6[5]
+        line = out[i]
+        # a parabola leaves its chord by at most a quarter of its bend: one test admits the whole line
+        first, last = east.min(), east.max()
+        ra, rb = r0 + first * (r1 + first * r2), r0 + last * (r1 + last * r2)
+        ca, cb = c0 + first * (c1 + first * c2), c0 + last * (c1 + last * c2)
+        if (
+            min(ra, rb) - row_bend >= 0.0
+            and max(ra, rb) + row_bend < rows - 1.0
+            and min(ca, cb) - col_bend >= 0.0
+            and max(ca, cb) + col_bend < cols - 1.0
+        ):
+            for j in range(east.size):
+                e = east[j]
+                row, col = r0 + e * (r1 + e * r2), c0 + e * (c1 + e * c2)
+                y, x = int(row), int(col)
+                u, v = row - y, col - x
+                low = (1.0 - v) * values[y, x] + v * values[y, x + 1]
+                high = (1.0 - v) * values[y + 1, x] + v * values[y + 1, x + 1]
+                line[j] = (1.0 - u) * low + u * high
+            for j in range(east.size):
+                if np.isnan(line[j]):
+                    e = east[j]
+                    line[j] = bilinear_at(values, r0 + e * (r1 + e * r2), c0 + e * (c1 + e * c2))
+        else:
+            for j in range(east.size):
+                e = east[j]
+                line[j] = bilinear_at(values, r0 + e * (r1 + e * r2), c0 + e * (c1 + e * c2))

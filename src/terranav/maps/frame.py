@@ -1,0 +1,105 @@
+"""From metres north and east of a place to the rows and columns of a map, without a projection in the inner loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from terranav.core.earth import ECCENTRICITY_SQ, SEMI_MAJOR_M, shift
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFrame:
+    """Fractional row and column of the place n metres north and e metres east of an origin (`core.earth.shift`).
+
+    Attributes
+    ----------
+    row, col : (6,) float64
+        Coefficients of [1, n, e, n^2, n e, e^2] [cells, cells/m, cells/m^2]; (0.0, 0.0) is the centre of the first
+        cell. For an INS error (en, ee) the true place is at n = -en, e = -ee.
+    """
+
+    row: FloatArray
+    col: FloatArray
+
+    def cells(self, north_m: ArrayLike, east_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Fractional rows and columns at displacements that broadcast [m]."""
+        n, e = np.asarray(north_m, dtype=np.float64), np.asarray(east_m, dtype=np.float64)
+        r, c = self.row, self.col
+        rows = r[0] + n * (r[1] + r[3] * n + r[4] * e) + e * (r[2] + r[5] * e)
+        cols = c[0] + n * (c[1] + c[3] * n + c[4] * e) + e * (c[2] + c[5] * e)
+        return rows, cols
+
+
+def geographic_frame(lat_deg: float, lon_deg: float, inverse: tuple[float, ...]) -> LocalFrame:
+    """Frame of a map in longitude and latitude: the Taylor series of `core.earth.shift` to second order.
+
+    With M and P the metres in a degree of latitude and longitude, and primes for d/dlat,
+    dlat = n/M - n^2 M'/(2 M^3) and dlon = e/P - n e P'/(2 M P^2), where (N cos lat)' = -M_r sin lat and
+    M_r' = 3 e^2 M_r sin lat cos lat / (1 - e^2 sin^2 lat), M_r being the meridian radius of curvature.
+
+    Parameters
+    ----------
+    lat_deg, lon_deg : float [deg]
+    inverse : 6 floats
+        (col, row) of cell centres from (lon, lat) [cells/deg]: col = i0 lon + i1 lat + i2, row = i3 lon + i4 lat + i5.
+    """
+    lat = math.radians(lat_deg)
+    sin, cos = math.sin(lat), math.cos(lat)
+    w2 = 1.0 - ECCENTRICITY_SQ * sin * sin
+    prime_vertical = SEMI_MAJOR_M / math.sqrt(w2)
+    meridian = prime_vertical * (1.0 - ECCENTRICITY_SQ) / w2
+    per_lat, per_lon = math.radians(meridian), math.radians(prime_vertical * cos)
+    per_lat_slope = math.radians(3.0 * ECCENTRICITY_SQ * sin * cos / w2 * per_lat)
+    per_lon_slope = -math.radians(per_lat * sin)
+    lat_n, lat_nn = 1.0 / per_lat, -0.5 * per_lat_slope / per_lat**3
+    lon_e, lon_ne = 1.0 / per_lon, -0.5 * per_lon_slope / (per_lat * per_lon**2)
+
+    def coefficients(by_lon: float, by_lat: float, constant: float) -> FloatArray:
+        start = by_lon * lon_deg + by_lat * lat_deg + constant
+        return np.array([start, by_lat * lat_n, by_lon * lon_e, by_lat * lat_nn, by_lon * lon_ne, 0.0])
+
+    return LocalFrame(row=coefficients(*inverse[3:]), col=coefficients(*inverse[:3]))
+
+
+_STENCIL_N = np.array([0.0, 1.0, -1.0, 0.0, 0.0, 1.0, 1.0, -1.0, -1.0])
+_STENCIL_E = np.array([0.0, 0.0, 0.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+
+
+def fitted_frame(
+    lat_deg: float,
+    lon_deg: float,
+    step_m: float,
+    cells: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+) -> LocalFrame:
+    """Frame of a map in any CRS: central differences over nine places `step_m` apart.
+
+    Parameters
+    ----------
+    lat_deg, lon_deg : float [deg]
+    step_m : float [m]
+    cells : function of (lat_deg, lon_deg), both (9,), that gives fractional rows and columns
+    """
+    row, col = cells(*shift(lat_deg, lon_deg, _STENCIL_N * step_m, _STENCIL_E * step_m))
+
+    def coefficients(f: FloatArray) -> FloatArray:
+        scaled = np.array(
+            [
+                f[0] * step_m**2,
+                0.5 * (f[1] - f[2]) * step_m,
+                0.5 * (f[3] - f[4]) * step_m,
+                0.5 * (f[1] + f[2]) - f[0],
+                0.25 * (f[5] - f[6] - f[7] + f[8]),
+                0.5 * (f[3] + f[4]) - f[0],
+            ]
+        )
+        out: FloatArray = scaled / step_m**2
+        return out
+
+    return LocalFrame(row=coefficients(row), col=coefficients(col))

@@ -1,0 +1,71 @@
+"""What a map is and what looks wrong with it, for people and machines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terranav.core.kinds import kind_named
+
+if TYPE_CHECKING:
+    from terranav.maps.map import Map
+
+
+def describe(m: Map) -> dict[str, Any]:
+    """The dictionary of `Map.info`.
+
+    `roughness` is the root mean square difference of neighbouring cells [unit], the sigma_z of the TERCOM literature
+    (Golden, SPIE 238, 1980); `std` its sigma_T.
+    """
+    values = m.values[~np.isnan(m.values)].astype(np.float64)
+    south, west, north, east = m.bounds_deg
+    steps = np.concatenate([np.diff(m.values, axis=axis).ravel() for axis in (0, 1)]).astype(np.float64)
+    steps = steps[~np.isnan(steps)]
+    return {
+        "name": m.name,
+        "kind": m.kind,
+        "unit": m.unit,
+        "rows": m.shape[0],
+        "cols": m.shape[1],
+        "cell_m": m.cell_m,
+        "extent_deg": {"south": south, "west": west, "north": north, "east": east},
+        "crs": m.crs,
+        "datum": m.datum,
+        "sigma": m.sigma,
+        "voids": int(m.values.size - values.size),
+        "void_fraction": 1.0 - values.size / m.values.size,
+        "min": float(values.min()),
+        "max": float(values.max()),
+        "mean": float(values.mean()),
+        "std": float(values.std()),
+        "roughness": float(np.sqrt(np.mean(steps**2))) if steps.size else float("nan"),
+        "source": m.source,
+        "checksum": m.checksum,
+        "suspicious": suspicions(m.values, m.kind),
+    }
+
+
+def suspicions(values: NDArray[np.float32], kind_name: str) -> list[str]:
+    """One line for everything about the values of a map of this kind that a careful person would question."""
+    kind = kind_named(kind_name)
+    low, high, middle = float(np.nanmin(values)), float(np.nanmax(values)), float(np.nanmedian(values))
+    least, most = kind.plausible
+    found = []
+    if low < least or high > most:
+        hint = "; are they in feet?" if kind.unit == "m" else ""
+        found.append(
+            f"values run from {low:g} to {high:g} {kind.unit}, "
+            f"but {kind.name} on Earth stays within {least:g} to {most:g} {kind.unit}{hint}"
+        )
+    if kind.name == "bathymetry" and middle > 0.0:
+        found.append(
+            f"the median is {middle:g} m, but the seabed is negative below the datum; are these positive depths?"
+        )
+    if low == high:
+        found.append(f"every value is {low:g} {kind.unit}: a constant map cannot tell where anything is")
+    voids = float(np.isnan(values).mean())
+    if voids > 0.25:
+        found.append(f"{100.0 * voids:.0f} % of the cells are void")
+    return found

@@ -1,0 +1,305 @@
+"""Map: a scalar field on a regular grid, anywhere on Earth, in any CRS."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from terranav.core.checks import finite
+from terranav.core.earth import shift, wrap_longitude
+from terranav.core.errors import ConfigError, DataError
+from terranav.core.kinds import kind_named
+from terranav.maps.crs import Projection, projection
+from terranav.maps.frame import LocalFrame, fitted_frame, geographic_frame
+
+FloatArray = NDArray[np.float64]
+Method = Literal["bilinear", "bicubic"]
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """A scalar field on a regular grid; immutable.
+
+    Attributes
+    ----------
+    values : (rows, cols) float32, read-only
+        In `unit`; NaN where void. At least 2 x 2, at least one cell not void. Stored as a copy.
+    transform : 6 floats
+        (a, b, c, d, e, f) as in rasterio: at the centre of cell (row, col) x = a (col + 0.5) + b (row + 0.5) + c and
+        y = d (col + 0.5) + e (row + 0.5) + f.
+    crs : str
+        Of x and y: anything that pyproj takes. x is the longitude in a geographic one.
+    kind : str
+        'terrain', 'bathymetry', 'gravity' or 'magnetic'.
+    unit : str
+        The kind's unit.
+    sigma : float
+        1-sigma of the map error, same unit, >= 0.
+    datum : str or None
+        Vertical datum, where known.
+    source, name : str
+        Where it came from, and what to call it.
+    """
+
+    values: NDArray[np.float32]
+    transform: tuple[float, float, float, float, float, float]
+    crs: str = "EPSG:4326"
+    kind: str = "terrain"
+    unit: str = "m"
+    sigma: float = 3.0
+    datum: str | None = None
+    source: str = ""
+    name: str = "map"
+
+    def __post_init__(self) -> None:
+        kind = kind_named(self.kind)
+        if self.unit != kind.unit:
+            raise ConfigError(f"{self.name}: unit is {self.unit!r}, expected {kind.unit!r} for a {self.kind} map")
+        object.__setattr__(self, "sigma", finite(f"{self.name}: map sigma", self.sigma, minimum=0.0))
+        values = np.array(self.values, dtype=np.float32, order="C")
+        if values.ndim != 2 or min(values.shape) < 2:
+            shape = " x ".join(str(size) for size in values.shape)
+            raise DataError(f"{self.name}: map of {shape} cells, expected at least 2 rows and 2 columns")
+        values[~np.isfinite(values)] = np.nan
+        if np.isnan(values).all():
+            raise DataError(f"{self.name}: every cell of the map is void, expected values")
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+        transform = tuple(float(number) for number in self.transform)
+        if len(transform) != 6 or not np.isfinite(transform).all() or self._determinant(transform) == 0.0:
+            raise DataError(
+                f"{self.name}: map transform is {self.transform!r}, expected six numbers of an invertible affine"
+            )
+        object.__setattr__(self, "transform", transform)
+        try:
+            _ = self._projection
+        except DataError as error:
+            raise DataError(f"{self.name}: {error}") from None
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.values.setflags(write=False)  # pickling forgets it
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: self.__dict__[key] for key in self.__dataclass_fields__}
+
+    def __repr__(self) -> str:
+        rows, cols = self.shape
+        return f"<Map {self.name!r}: {self.kind} [{self.unit}], {rows} x {cols} cells of {self.cell_m:.0f} m>"
+
+    @staticmethod
+    def _determinant(transform: tuple[float, ...]) -> float:
+        return transform[0] * transform[4] - transform[1] * transform[3]
+
+    @property
+    def _projection(self) -> Projection:
+        return projection(self.crs)
+
+    @cached_property
+    def _inverse(self) -> tuple[float, float, float, float, float, float]:
+        """(col, row) of cell centres from (x, y): col = i0 x + i1 y + i2, row = i3 x + i4 y + i5."""
+        a, b, c, d, e, f = self.transform
+        det = self._determinant(self.transform)
+        return e / det, -b / det, (b * f - c * e) / det - 0.5, -d / det, a / det, (c * d - a * f) / det - 0.5
+
+    @cached_property
+    def _centre_xy(self) -> tuple[float, float]:
+        x, y = self._xy(0.5 * (self.shape[0] - 1), 0.5 * (self.shape[1] - 1))
+        return float(x), float(y)
+
+    @cached_property
+    def centre_deg(self) -> tuple[float, float]:
+        """Latitude and longitude of the middle of the map [deg]."""
+        x, y = self._centre_xy
+        lat, lon = self._projection.inverse(np.array([x]), np.array([y]))
+        return float(lat[0]), float(wrap_longitude(lon[0]))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.values.shape
+        return rows, cols
+
+    def _xy(self, row: ArrayLike, col: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates of fractional rows and columns in cell centres."""
+        a, b, c, d, e, f = self.transform
+        y, x = np.asarray(row, dtype=np.float64) + 0.5, np.asarray(col, dtype=np.float64) + 0.5
+        return a * x + b * y + c, d * x + e * y + f
+
+    def cells(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Fractional rows and columns of positions, (0.0, 0.0) being the centre of the first cell.
+
+        Parameters
+        ----------
+        lat_deg, lon_deg : array_like, shapes that broadcast [deg]
+            Longitudes may run from -180 to 180 or from 0 to 360, whatever the map's own axis does.
+
+        Returns
+        -------
+        row, col : ndarray [cells]
+            Not finite where the projection knows no such place.
+        """
+        lat, lon = np.broadcast_arrays(np.asarray(lat_deg, dtype=np.float64), np.asarray(lon_deg, dtype=np.float64))
+        x, y = self._projection.forward(lat, lon)
+        if self._projection.geographic:
+            x = self._centre_xy[0] + wrap_longitude(x - self._centre_xy[0])
+        i = self._inverse
+        return i[3] * x + i[4] * y + i[5], i[0] * x + i[1] * y + i[2]
+
+    def sample(self, lat_deg: ArrayLike, lon_deg: ArrayLike, method: Method = "bilinear") -> FloatArray:
+        """Values of the field at positions.
+
+        Parameters
+        ----------
+        lat_deg, lon_deg : array_like, shapes that broadcast [deg]
+        method : 'bilinear' or 'bicubic' (Catmull-Rom)
+
+        Returns
+        -------
+        value : ndarray of the broadcast shape [unit]
+            NaN outside the hull of the cell centres and where a void has weight.
+        """
+        from terranav.kernels import sampling
+
+        if method not in ("bilinear", "bicubic"):
+            raise ConfigError(f"sampling method is {method!r}, expected 'bilinear' or 'bicubic'")
+        row, col = self.cells(lat_deg, lon_deg)
+        out = np.empty(row.size)
+        kernel = sampling.bilinear if method == "bilinear" else sampling.bicubic
+        kernel(self.values, row.ravel(), col.ravel(), out)
+        return out.reshape(row.shape)
+
+    def gradient(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Slopes of the field: differences of `sample` over one cell, from half a cell before to half a cell after.
+
+        That is the slope of the field smoothed over a cell: continuous, where the slope of the bilinear patch itself
+        jumps from cell to cell. At an edge or a void the half that has a value serves alone.
+
+        Parameters
+        ----------
+        lat_deg, lon_deg : array_like, shapes that broadcast [deg]
+
+        Returns
+        -------
+        d_dnorth, d_deast : ndarray [unit/m]
+            NaN where `sample` is.
+        """
+        lat, lon = np.broadcast_arrays(np.asarray(lat_deg, dtype=np.float64), np.asarray(lon_deg, dtype=np.float64))
+        here = self.sample(lat, lon)
+        half = 0.5 * self.cell_m
+
+        def slope(north: float, east: float) -> FloatArray:
+            after = self.sample(*shift(lat, lon, north, east))
+            before = self.sample(*shift(lat, lon, -north, -east))
+            span = np.where(np.isnan(after) | np.isnan(before), half, 2.0 * half)
+            rise = np.where(np.isnan(after), here, after) - np.where(np.isnan(before), here, before)
+            alone = np.isnan(here) | (np.isnan(after) & np.isnan(before))
+            out: FloatArray = np.where(alone, np.nan, rise / span)
+            return out
+
+        return slope(half, 0.0), slope(0.0, half)
+
+    def covers(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> NDArray[np.bool_]:
+        """Whether positions lie in the hull of the cell centres, void or not; of the broadcast shape."""
+        row, col = self.cells(lat_deg, lon_deg)
+        rows, cols = self.shape
+        slack = 1e-6  # as in kernels.sampling
+        inside: NDArray[np.bool_] = (
+            (row >= -slack) & (row <= rows - 1 + slack) & (col >= -slack) & (col <= cols - 1 + slack)
+        )
+        return inside
+
+    def local_frame(self, lat_deg: float, lon_deg: float, radius_m: float = 5000.0) -> LocalFrame:
+        """The map's rows and columns as a quadratic in metres north and east of a place.
+
+        Good to 0.1 cell within `radius_m` for radii up to 20 km, cells of 30 m and latitudes below 80 degrees.
+
+        Parameters
+        ----------
+        lat_deg, lon_deg : float [deg]
+        radius_m : float [m]
+            How far from the place it will be used.
+        """
+        if self._projection.plain:
+            middle = self._centre_xy[0]
+            return geographic_frame(lat_deg, middle + (lon_deg - middle + 180.0) % 360.0 - 180.0, self._inverse)
+        return fitted_frame(lat_deg, lon_deg, 0.75 * radius_m, self.cells)
+
+    @cached_property
+    def cell_m(self) -> float:
+        """Geometric mean of a cell's two sides in the middle of the map [m]."""
+        frame = self.local_frame(*self.centre_deg, radius_m=100.0)
+        return float(abs(frame.row[1] * frame.col[2] - frame.row[2] * frame.col[1]) ** -0.5)
+
+    @cached_property
+    def bounds_deg(self) -> tuple[float, float, float, float]:
+        """South, west, north, east of the hull of the cell centres [deg].
+
+        West is in [-180, 180); east is greater than west, beyond 180 on a map that crosses the antimeridian.
+        """
+        rows, cols = self.shape
+        t = np.linspace(0.0, 1.0, 41)
+        row = np.concatenate([0.0 * t, t, 0.0 * t + 1.0, t]) * (rows - 1)
+        col = np.concatenate([t, 0.0 * t + 1.0, t, 0.0 * t]) * (cols - 1)
+        lat, lon = self._projection.inverse(*self._xy(row, col))
+        middle = self._centre_xy[0] if self._projection.plain else self.centre_deg[1]
+        away = lon - middle if self._projection.plain else wrap_longitude(lon - middle)
+        west = float(wrap_longitude(middle + away.min()))
+        return float(lat.min()), west, float(lat.max()), west + float(away.max() - away.min())
+
+    def crop(self, south_deg: float, west_deg: float, north_deg: float, east_deg: float) -> Map:
+        """The part of the map whose cell centres enclose a box; the same values at the same places.
+
+        Parameters
+        ----------
+        south_deg, west_deg, north_deg, east_deg : float [deg]
+            East below west means a box across the antimeridian.
+
+        Raises
+        ------
+        DataError
+            The box has no area or misses the map.
+        """
+        box = f"({south_deg:g}, {west_deg:g}, {north_deg:g}, {east_deg:g})"
+        width = (east_deg - west_deg) % 360.0 or 360.0 * (east_deg != west_deg)
+        if not (north_deg > south_deg and width > 0.0):
+            raise DataError(f"{self.name}: box {box} has no area, expected south < north and west < east")
+        t = np.linspace(0.0, 1.0, 21)
+        lat, lon = np.meshgrid(south_deg + t * (north_deg - south_deg), west_deg + t * width)
+        row, col = self.cells(lat, lon)
+        known = np.isfinite(row) & np.isfinite(col)
+        window = [_window(position[known], size) for position, size in zip((row, col), self.shape)]
+        (r0, r1), (c0, c1) = window
+        if r1 - r0 < 2 or c1 - c0 < 2:
+            south, west, north, east = self.bounds_deg
+            raise DataError(
+                f"{self.name}: box {box} misses the map, which spans ({south:.4f}, {west:.4f}, {north:.4f}, {east:.4f})"
+            )
+        a, b, c, d, e, f = self.transform
+        moved = (a, b, c + a * c0 + b * r0, d, e, f + d * c0 + e * r0)
+        return replace(self, values=self.values[r0:r1, c0:c1], transform=moved)
+
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 of values, transform, CRS and kind, hexadecimal."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.values, dtype="<f4").tobytes())
+        digest.update(repr((self.shape, self.transform, self.crs, self.kind)).encode())
+        return digest.hexdigest()
+
+    def info(self) -> dict[str, Any]:
+        """What the map is, as plain numbers and texts: extent, cells, voids, statistics, and what looks suspicious."""
+        from terranav.maps.info import describe
+
+        return describe(self)
+
+
+def _window(position: FloatArray, size: int) -> tuple[int, int]:
+    """First and past-the-last index of the cells that enclose positions, within the map."""
+    if not position.size:
+        return 0, 0
+    return max(int(np.floor(position.min() + 1e-6)), 0), min(int(np.ceil(position.max() - 1e-6)) + 1, size)
