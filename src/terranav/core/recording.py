@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terranav.core.checks import unknown_name
+from terranav.core.checks import nearest_name
 from terranav.core.earth import offset_m
 from terranav.core.errors import DataError, StateError
 from terranav.core.ins_grade import InsGrade
@@ -49,7 +50,7 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """The epochs of one run.
 
@@ -69,8 +70,9 @@ class Recording:
     Raises
     ------
     DataError
-        Naming the recording, the column, the row and the value: a missing or unknown column, lengths that differ, zero
-        epochs, times that do not increase, a position that is NaN or out of range, a sigma that is not positive.
+        Naming the recording, the column, the row (from 1) and the value: a missing or unknown column, lengths that
+        differ, zero epochs, times that do not increase, a position that is NaN or out of range, an infinite value, a
+        sigma that is not positive, a source that is not text.
     """
 
     columns: Mapping[str, FloatArray]
@@ -81,16 +83,24 @@ class Recording:
 
     def __post_init__(self) -> None:
         columns = {key: np.array(value, dtype=np.float64) for key, value in self.columns.items()}
-        _check(self.name, columns, self.sigma)
+        _check_shape(self.name, columns)
+        _check_values(self.name, columns)
+        _check_facts(self.name, self.sigma, self.source)
         for array in columns.values():
             array.flags.writeable = False
         ordered = {key: columns[key] for key in COLUMNS if key in columns}
         object.__setattr__(self, "columns", MappingProxyType(ordered))
-        object.__setattr__(self, "sigma", MappingProxyType(dict(self.sigma)))
+        object.__setattr__(self, "sigma", MappingProxyType({key: float(value) for key, value in self.sigma.items()}))
         object.__setattr__(self, "source", MappingProxyType(dict(self.source)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (Recording, (dict(self.columns), self.ins, dict(self.sigma), dict(self.source), self.name))
+
+    def __repr__(self) -> str:
+        told = [f"{key} {np.count_nonzero(np.isfinite(self.columns[key]))}" for key in self.readings] or ["no readings"]
+        known = [word for word, there in (("truth", self.has_truth), ("ins", self.ins is not None)) if there]
+        duration_s = self.time_s[-1] - self.time_s[0]
+        return f"Recording({self.name!r}: {', '.join([f'{len(self)} epochs in {duration_s:.1f} s', *told, *known])})"
 
     def __len__(self) -> int:
         return int(self.time_s.size)
@@ -165,6 +175,9 @@ class Recording:
     def between(self, start_s: float, end_s: float) -> Recording:
         """The epochs with start_s <= time <= end_s; DataError when there are none."""
         inside = (self.time_s >= start_s) & (self.time_s <= end_s)
+        if not inside.any():
+            span = f"a time within [{self.time_s[0]:g}, {self.time_s[-1]:g}]"
+            raise DataError(f"{self.name}: no epoch has time_s in [{start_s:g}, {end_s:g}], expected {span}")
         return replace(self, columns={key: value[inside] for key, value in self.columns.items()})
 
     def with_columns(self, **columns: FloatArray) -> Recording:
@@ -176,48 +189,63 @@ class Recording:
         if not all(name in self.columns for name in names):
             return [None] * len(self)
         rows = np.stack([self.columns[name] for name in names], axis=1)
-        known = np.isfinite(rows).all(axis=1)
-        return [(r[0], r[1], r[2]) if ok else None for r, ok in zip(rows.tolist(), known, strict=True)]
+        return [(r[0], r[1], r[2]) if all(map(math.isfinite, r)) else None for r in rows.tolist()]
 
 
-def _check(name: str, columns: dict[str, FloatArray], sigma: Mapping[str, float]) -> None:
-    """Raise DataError for anything that a recording must not be."""
+def _check_shape(name: str, columns: Mapping[str, FloatArray]) -> None:
+    """Raise DataError unless the columns are known, complete and of one length."""
     for key in columns:
         if key not in COLUMNS:
-            try:
-                unknown_name("column", key, COLUMNS)
-            except ValueError as error:
-                raise DataError(f"{name}: {error}") from None
+            raise DataError(f"{name}: unknown column {key!r}{nearest_name(key, COLUMNS)}; known: {', '.join(COLUMNS)}")
     for key in REQUIRED:
         if key not in columns:
             raise DataError(f"{name}: column {key} is missing; a recording needs {', '.join(REQUIRED)}")
     n = columns["time_s"].size
     for key, array in columns.items():
-        if array.ndim != 1 or array.size != n:
+        if array.shape != (n,):
             raise DataError(f"{name}: column {key} has shape {array.shape}, expected ({n},) like time_s")
     if n == 0:
         raise DataError(f"{name}: zero epochs, expected at least one row")
-    for key in REQUIRED:
-        bad = np.flatnonzero(~np.isfinite(columns[key]))
-        if bad.size:
-            raise DataError(f"{name}: {key} in row {bad[0] + 1} is {columns[key][bad[0]]}, expected a finite number")
-    steps = np.flatnonzero(np.diff(columns["time_s"]) <= 0)
+
+
+def _check_values(name: str, columns: Mapping[str, FloatArray]) -> None:
+    """Raise DataError for the first value that cannot be, naming its row."""
+    sigmas = {kind.sigma_column for kind in KINDS.values()}
+    for key, array in columns.items():
+        if key in REQUIRED:
+            _refuse(name, key, array, ~np.isfinite(array), "a finite number")
+        _refuse(name, key, array, np.isinf(array), "a finite number, or none where there is no reading")
+        if key in sigmas:
+            _refuse(name, key, array, array <= 0.0, "a positive number")
+        if key in LIMITS:
+            low, high = LIMITS[key]
+            _refuse(name, key, array, (array < low) | (array > high), f"a value in [{low:g}, {high:g}]")
+    time_s = columns["time_s"]
+    steps = np.flatnonzero(np.diff(time_s) <= 0)
     if steps.size:
-        i = int(steps[0])
-        before, after = columns["time_s"][i], columns["time_s"][i + 1]
-        raise DataError(f"{name}: time_s in row {i + 2} is {after!r} after {before!r}, expected increasing times")
-    limits = {**LIMITS, **{kind.sigma_column: (np.nextafter(0.0, 1.0), np.inf) for kind in KINDS.values()}}
-    for key, (low, high) in limits.items():
-        if key in columns:
-            bad = np.flatnonzero((columns[key] < low) | (columns[key] > high))
-            if bad.size:
-                wanted = "a positive number" if "sigma" in key else f"a value in [{low:g}, {high:g}]"
-                raise DataError(f"{name}: {key} in row {bad[0] + 1} is {columns[key][bad[0]]:g}, expected {wanted}")
+        before, after = time_s[steps[0] : steps[0] + 2].tolist()
+        raise DataError(
+            f"{name}: time_s in row {steps[0] + 2} is {after!r} after {before!r}, expected increasing times"
+        )
+
+
+def _refuse(name: str, key: str, array: FloatArray, bad: NDArray[np.bool_], expected: str) -> None:
+    """Raise DataError for the first row where `bad` is true."""
+    rows = np.flatnonzero(bad)
+    if rows.size:
+        raise DataError(f"{name}: {key} in row {rows[0] + 1} is {array[rows[0]]:.10g}, expected {expected}")
+
+
+def _check_facts(name: str, sigma: Mapping[str, float], source: Mapping[str, str]) -> None:
+    """Raise DataError for a sigma of no reading or that is not positive, and for a source that is not text."""
+    known = (*READY, *RAW)
     for key, value in sigma.items():
-        if key not in READY and key not in RAW:
-            try:
-                unknown_name("key in [sigma]", key, (*READY, *RAW))
-            except ValueError as error:
-                raise DataError(f"{name}: {error}") from None
+        if key not in known:
+            raise DataError(
+                f"{name}: unknown key {key!r} in [sigma]{nearest_name(key, known)}; known: {', '.join(known)}"
+            )
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
             raise DataError(f"{name}: [sigma] {key} is {value!r}, expected a positive number")
+    for key, text in source.items():
+        if not isinstance(key, str) or not isinstance(text, str):
+            raise DataError(f"{name}: [source] {key} is {text!r}, expected a text")
