@@ -79,8 +79,8 @@ def test_agrees_with_the_kalman_filter_on_a_plane(seed: int, steps: int) -> None
     prior = Prior.from_ins(INS)
     epochs = flight(chart, rng.normal(0.0, 200.0, 2), steps, 8.0, rng)
     mean, cov = kalman(chart, slope, epochs, prior)
-    got = PointMass((chart,), INS, outlier_share=0.0, memory_s=0.0).estimate(
-        last(PointMass((chart,), INS, outlier_share=0.0, memory_s=0.0), epochs, prior)
+    got = PointMass((chart,), INS, outlier_share=0.0).estimate(
+        last(PointMass((chart,), INS, outlier_share=0.0), epochs, prior)
     )
     sigma = np.sqrt(np.diag(cov))
     np.testing.assert_allclose(got.ins_error_m / sigma, mean / sigma, atol=2e-3)
@@ -111,7 +111,7 @@ def test_flat_land_never_shrinks_the_covariance() -> None:
     chart = plane(0.0, 0.0)
     prior = Prior.from_ins(INS)
     epochs = flight(chart, np.array([10.0, 20.0]), 50, 3.0, np.random.default_rng(5))
-    filter_ = PointMass((chart,), INS, memory_s=0.0)
+    filter_ = PointMass((chart,), INS)
     state = filter_.init(prior, RNG)
     before = np.diag(state.cov_m2)
     np.testing.assert_allclose(before, np.diag(prior.cov_m2), rtol=1e-3)
@@ -151,7 +151,7 @@ def test_finds_errors_of_kilometres_on_rough_land() -> None:
 
 def test_a_gap_of_an_hour_widens_the_density_and_keeps_its_moments() -> None:
     chart = plane(0.25, 0.125)
-    filter_ = PointMass((chart,), INS, memory_s=0.0)
+    filter_ = PointMass((chart,), INS)
     prior = Prior(np.zeros(2), np.eye(2) * 20.0**2)
     first = Epoch(0.0, LAT0, LON0, 2000.0)
     state = filter_.step(filter_.init(prior, RNG), first, RNG)

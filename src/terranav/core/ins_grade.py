@@ -83,21 +83,28 @@ class InsGrade:
             + gyro_walk**2 * min(t, 1.0 / w) ** 2 * t / 3.0
         )
 
-    def position_growth_m2(self, elapsed_s: float, dt_s: float, memory_s: float = 30.0) -> float:
-        """Variance per axis that the position error gains between `elapsed_s` and `elapsed_s + dt_s` [m^2].
+    def position_growth_m2(self, elapsed_s: float, dt_s: float, variance_m2: float = math.inf) -> float:
+        """Variance that the position error of one axis gains between `elapsed_s` and `elapsed_s + dt_s` [m^2].
 
-        For methods that carry no velocity error: it enters as a Gauss-Markov increment of correlation time `memory_s`,
-        so q = walk^2 dt + sigma_v(t)^2 dt max(dt, memory_s). A filter with this q follows a constant drift of one sigma
-        with a lag of about its own sigma, for readings worth tens of metres each (lag^2 = steady-state P).
+        A drift is no white noise: a filter without a velocity state that averages readings over a time T lags a drift
+        v by v T. The growth returned is that of an INS last known T ago, walk^2 dt + sigma_v^2 ((T + dt)^2 - T^2), T
+        being the time in which its drift would have filled the present variance, walk^2 T + sigma_v^2 T^2 = variance,
+        but no longer than `elapsed_s`. So the variance settles where the lag is one sigma, and without readings it
+        grows as that of the unaided INS, with t^2.
 
         Parameters
         ----------
         elapsed_s : float
-            Time since the last known state of the INS (the start of the run) [s].
+            Time since the start of the run, when the INS was known to its initial sigmas [s].
         dt_s : float
             Step, >= 0 [s].
-        memory_s : float
-            Correlation time [s].
+        variance_m2 : float
+            Present variance of the axis [m^2]; infinite for an INS that nothing corrects.
         """
-        speed = self.velocity_sigma_at_mps(elapsed_s + dt_s)
-        return (self.position_walk_m_per_sqrt_s**2 + speed**2 * max(dt_s, memory_s)) * dt_s
+        speed2 = self.velocity_sigma_at_mps(elapsed_s + dt_s) ** 2
+        walk2 = self.position_walk_m_per_sqrt_s**2
+        since = elapsed_s
+        if speed2 > 0.0 and math.isfinite(variance_m2):
+            root = math.sqrt(walk2 * walk2 + 4.0 * speed2 * variance_m2)
+            since = min(since, 2.0 * variance_m2 / (walk2 + root))
+        return walk2 * dt_s + speed2 * (2.0 * since + dt_s) * dt_s

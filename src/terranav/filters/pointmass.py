@@ -43,12 +43,12 @@ class Grid:
     @property
     def north_m(self) -> FloatArray:
         """(rows,) errors north [m]."""
-        return self.south_m + self.cell_m * np.arange(self.density.shape[0])
+        return self.south_m + self.cell_m * np.arange(self.density.shape[0], dtype=np.float64)
 
     @property
     def east_m(self) -> FloatArray:
         """(cols,) errors east [m]."""
-        return self.west_m + self.cell_m * np.arange(self.density.shape[1])
+        return self.west_m + self.cell_m * np.arange(self.density.shape[1], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,6 @@ class PointMass:
         what the cells can carry, so that a narrow peak between them is not missed.
     converged_sigma_m : float or None
         1-sigma (largest axis) that counts as a fix; None is the map's cell.
-    memory_s : float
-        Correlation time given to the velocity error, which this filter does not carry.
 
     Raises
     ------
@@ -111,13 +109,11 @@ class PointMass:
     min_cell_m: float | None = None
     max_cells: int = 160_000
     converged_sigma_m: float | None = None
-    memory_s: float = 30.0
 
     def __post_init__(self) -> None:
         finite("pointmass outlier_share", self.outlier_share, minimum=0.0, maximum=0.5)
         finite("pointmass outlier_scale", self.outlier_scale, above=1.0)
         finite("pointmass max_cells", self.max_cells, minimum=400)
-        finite("pointmass memory_s", self.memory_s, minimum=0.0)
         for key in ("min_cell_m", "converged_sigma_m"):
             if getattr(self, key) is not None:
                 finite(f"pointmass {key}", getattr(self, key), above=0.0)
@@ -150,7 +146,7 @@ class PointMass:
         start_s = epoch.time_s if state.epoch is None else state.start_s
         dt = 0.0 if state.epoch is None else epoch.time_s - state.epoch.time_s
         before = epoch.time_s - dt - start_s
-        growth = self.ins.position_growth_m2(before, dt, self.memory_s) if dt > 0.0 else 0.0
+        growth = [self.ins.position_growth_m2(before, dt, float(v)) for v in np.diag(state.cov_m2)]
         state = replace(state, epoch=epoch, start_s=start_s, grid=self._grown(state.grid, growth))
         nis: list[float] = []
         known: list[float] = []
@@ -204,18 +200,18 @@ class PointMass:
         threshold = 2.0 * self._coarsest_m if self.converged_sigma_m is None else self.converged_sigma_m
         return Judge(converged_sigma_m=threshold)
 
-    def _grown(self, grid: Grid, growth_m2: float) -> Grid:
-        """Diffuse by `growth_m2` an axis; after a long gap in stages, each on cells twice as large."""
-        while growth_m2 > 0.0:
-            whole = growth_m2 <= (6.0 * grid.cell_m) ** 2
-            part = growth_m2 if whole else (3.0 * grid.cell_m) ** 2
-            taps = gaussian_taps(part / grid.cell_m**2)
-            padded = _padded(grid, taps.size // 2)
+    def _grown(self, grid: Grid, growth_m2: list[float]) -> Grid:
+        """Diffuse by `growth_m2` (north, east); after a long gap in stages, each on cells twice as large."""
+        while max(growth_m2) > 0.0:
+            most = (3.0 * grid.cell_m) ** 2 if max(growth_m2) > (6.0 * grid.cell_m) ** 2 else math.inf
+            parts = [min(growth, most) for growth in growth_m2]
+            taps = [gaussian_taps(part / grid.cell_m**2) for part in parts]
+            padded = _padded(grid, max(taps[0].size, taps[1].size) // 2)
             out = np.empty_like(padded.density)
-            diffuse(padded.density, taps, taps, out)
+            diffuse(padded.density, taps[0], taps[1], out)
             grid = replace(padded, density=out / out.sum())
-            growth_m2 -= part
-            if not whole:
+            growth_m2 = [growth - part for growth, part in zip(growth_m2, parts, strict=True)]
+            if max(growth_m2) > 0.0:
                 grid = self._regridded(grid, 2.0 * grid.cell_m)
         return grid
 

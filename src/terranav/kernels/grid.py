@@ -160,7 +160,7 @@ def resample(log_density, rows, cols, out):
     """Density at the lattice of fractional rows (p,) and columns (q,), zero outside the grid; out is (p, q).
 
     The cubic patch (Catmull-Rom, exact on quadratics) is laid through the logarithm, so that a Gaussian keeps its
-    moments and its tails whatever the new cells. At the cliff of a cut-off the patch overshoots; OVERSHOOT holds it down.
+    moments and its tails whatever the new cells. At the cliff of a cut-off the patch overshoots; OVERSHOOT limits that.
     """
     last_row, last_col = log_density.shape[0] - 1, log_density.shape[1] - 1
     for a in range(rows.size):
