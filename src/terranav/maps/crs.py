@@ -52,7 +52,7 @@ class Projection:
         except ProjError as error:
             reason = " ".join(str(error).split())
             raise DataError(f"unknown crs {self.crs!r}, expected a name like 'EPSG:4326' ({reason})") from None
-        self.geographic = bool(target.is_geographic)
+        self.geographic = bool(target.is_geographic) and target.axis_info[0].unit_name == "degree"
         if self.geographic:  # one without a shift against WGS-84, in degrees from Greenwich, is used as it stands
             lon, lat = np.array([-100.0, 0.0, 12.0, 140.0]), np.array([40.0, 0.0, 50.0, -35.0])
             x, y = self._forward.transform(lon, lat)

@@ -23,6 +23,8 @@ def describe(m: Map) -> dict[str, Any]:
     south, west, north, east = m.bounds_deg
     steps = np.concatenate([np.diff(m.values, axis=axis).ravel() for axis in (0, 1)]).astype(np.float64)
     steps = steps[~np.isnan(steps)]
+    void_fraction = 1.0 - values.size / m.values.size
+    void_remark = [f"{100.0 * void_fraction:.0f} % of the cells are void"] if void_fraction > 0.25 else []
     return {
         "name": m.name,
         "kind": m.kind,
@@ -35,7 +37,7 @@ def describe(m: Map) -> dict[str, Any]:
         "datum": m.datum,
         "sigma": m.sigma,
         "voids": int(m.values.size - values.size),
-        "void_fraction": 1.0 - values.size / m.values.size,
+        "void_fraction": void_fraction,
         "min": float(values.min()),
         "max": float(values.max()),
         "mean": float(values.mean()),
@@ -43,12 +45,12 @@ def describe(m: Map) -> dict[str, Any]:
         "roughness": float(np.sqrt(np.mean(steps**2))) if steps.size else float("nan"),
         "source": m.source,
         "checksum": m.checksum,
-        "suspicious": suspicions(m.values, m.kind),
+        "suspicious": suspicions(m.values, m.kind) + void_remark,
     }
 
 
 def suspicions(values: NDArray[np.float32], kind_name: str) -> list[str]:
-    """One line for everything about the values of a map of this kind that a careful person would question."""
+    """One line for everything about the values of a map of this kind that says they may not be what they are called."""
     kind = kind_named(kind_name)
     low, high, middle = float(np.nanmin(values)), float(np.nanmax(values)), float(np.nanmedian(values))
     least, most = kind.plausible
@@ -65,7 +67,4 @@ def suspicions(values: NDArray[np.float32], kind_name: str) -> list[str]:
         )
     if low == high:
         found.append(f"every value is {low:g} {kind.unit}: a constant map cannot tell where anything is")
-    voids = float(np.isnan(values).mean())
-    if voids > 0.25:
-        found.append(f"{100.0 * voids:.0f} % of the cells are void")
     return found

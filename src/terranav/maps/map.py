@@ -145,11 +145,11 @@ class Map:
             Not finite where the projection knows no such place.
         """
         lat, lon = np.broadcast_arrays(np.asarray(lat_deg, dtype=np.float64), np.asarray(lon_deg, dtype=np.float64))
-        x, y = self._projection.forward(lat, lon)
+        x, y = (np.asarray(axis) for axis in self._projection.forward(lat, lon))
         if self._projection.geographic:
             x = self._centre_xy[0] + wrap_longitude(x - self._centre_xy[0])
         i = self._inverse
-        return i[3] * x + i[4] * y + i[5], i[0] * x + i[1] * y + i[2]
+        return np.asarray(i[3] * x + i[4] * y + i[5]), np.asarray(i[0] * x + i[1] * y + i[2])
 
     def sample(self, lat_deg: ArrayLike, lon_deg: ArrayLike, method: Method = "bilinear") -> FloatArray:
         """Values of the field at positions.

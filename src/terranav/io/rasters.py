@@ -1,0 +1,185 @@
+"""Maps from files: any GDAL raster (GeoTIFF, .hgt, DTED, ESRI ASCII, VRT...) and NetCDF or GMT grids."""
+
+from __future__ import annotations
+
+import logging
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terranav.core.errors import ConfigError, DataError, DataWarning
+from terranav.core.kinds import kind_named
+from terranav.io.files import existing_file
+from terranav.io.grids import Grid, Transform, is_netcdf, read_grid
+from terranav.io.units import unit_factor
+from terranav.maps.info import suspicions
+from terranav.maps.map import Map
+
+#: 1-sigma map error taken where the user states none: SRTM and national terrain models (m), GEBCO-like relief off the
+#: sounded tracks of the open sea (m), satellite gravity (mGal), and magnetic compilations (nT).
+DEFAULT_SIGMA = {"terrain": 3.0, "bathymetry": 10.0, "gravity": 2.0, "magnetic": 20.0}
+
+_WHAT = "a map raster"
+_DATUMS = {"E96": "EGM96", "E08": "EGM2008", "MSL": "mean sea level"}  # DTED's codes
+
+
+def open_map(
+    path: str | Path,
+    *,
+    kind: str = "terrain",
+    sigma: float | None = None,
+    crs: str | None = None,
+    variable: str | int | None = None,
+    unit: str | None = None,
+    positive_down: bool = False,
+    name: str | None = None,
+) -> Map:
+    """Read a map from a file.
+
+    Nodata, masks, scale, offset, row order and pixel-is-area or pixel-is-point are as the file says; the values are
+    turned into the kind's unit. Whatever can be used but looks wrong (feet called metres, positive depths) is a
+    DataWarning.
+
+    Parameters
+    ----------
+    path : str or Path
+        GeoTIFF, .hgt, .hgt.zip, DTED, ESRI ASCII, VRT or any other raster of GDAL; NetCDF, GMT .grd of any age.
+    kind : str
+        'terrain', 'bathymetry', 'gravity' or 'magnetic'.
+    sigma : float, optional
+        1-sigma of the map error [kind's unit], >= 0; by default 3 m, 10 m, 2 mGal, 20 nT for the kinds as above.
+    crs : str, optional
+        Of the file's coordinates, as pyproj takes it; wins over the file's own. Needed where the file states none and
+        its axes are not longitude and latitude.
+    variable : str or int, optional
+        Which variable (NetCDF) or band (its description, or its number from 1) where there are several.
+    unit : str, optional
+        Of the values, such as 'ft'; wins over what the file states. By default the file's, else the kind's own.
+    positive_down : bool
+        The values are depths: negate them. NetCDF's attribute positive = "down" does the same.
+    name : str, optional
+        What to call the map; by default the file's name.
+
+    Returns
+    -------
+    Map
+
+    Raises
+    ------
+    DataError
+        The file is missing, empty, not a raster, or without what a map needs.
+    ConfigError
+        Unknown kind or unit, negative sigma.
+    """
+    kind_row = kind_named(kind)
+    file = existing_file(path, _WHAT)
+    grid = (
+        read_grid(file, None if variable is None else str(variable))
+        if is_netcdf(file)
+        else _read_raster(file, variable)
+    )
+    if crs is None and grid.crs is None:
+        raise DataError(
+            f"{file}: states no CRS and its axes are not longitude and latitude, expected crs= (e.g. 'EPSG:4326')"
+        )
+    doubts: list[str] = []
+    factor = unit_factor(str(file), kind_row, grid.unit, unit, doubts)
+    if positive_down or grid.positive_down:
+        factor = -factor
+    label = name or file.name
+    try:
+        result = Map(
+            values=(grid.values * factor).astype(np.float32),
+            transform=grid.transform,
+            crs=crs or str(grid.crs),
+            kind=kind,
+            unit=kind_row.unit,
+            sigma=DEFAULT_SIGMA[kind] if sigma is None else sigma,
+            datum=grid.datum,
+            source=file.name,
+            name=label,
+        )
+    except (DataError, ConfigError) as error:
+        raise type(error)(f"{file}: {str(error).removeprefix(f'{label}: ')}") from None
+    for doubt in (*doubts, *(f"{file}: {text}" for text in suspicions(result.values, kind))):
+        warnings.warn(doubt, DataWarning, stacklevel=2)
+    return result
+
+
+def _read_raster(file: Path, variable: str | int | None) -> Grid:
+    """Read one band of a GDAL raster."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's remarks stay off the terminal
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(file) as raster:
+                band = _band(file, raster, variable)
+                values = raster.read(band).astype(np.float64) * raster.scales[band - 1] + raster.offsets[band - 1]
+                values[raster.read_masks(band) == 0] = np.nan
+                crs, datum = _crs_and_datum(file, raster)
+                return Grid(values, _transform(file, raster), crs, raster.units[band - 1] or "", datum)
+    except (RasterioError, OSError) as error:
+        reason = " ".join(str(error).replace(f"'{file}'", "it").replace(str(file), "it").split())[:200]
+        raise DataError(f"{file}: not a readable raster ({reason}), expected {_WHAT}{_hgt_hint(file)}") from None
+
+
+def _band(file: Path, raster: Any, variable: str | int | None) -> int:
+    """Number of the band that was asked for, or of the only one."""
+    names = [text or "" for text in raster.descriptions]
+    if variable is None and raster.count == 1:
+        return 1
+    if isinstance(variable, str) and variable in names:
+        return names.index(variable) + 1
+    if str(variable).isdecimal() and 1 <= int(str(variable)) <= raster.count:
+        return int(str(variable))
+    bands = ", ".join(f"{i + 1} {text}".strip() for i, text in enumerate(names)) or "none"
+    asked = "several bands, say which with variable=" if variable is None else f"no band {variable!r}"
+    raise DataError(f"{file}: {asked if raster.count else 'no band'}; bands in it: {bands}")
+
+
+def _transform(file: Path, raster: Any) -> Transform:
+    """The affine of a raster that has one."""
+    affine = raster.transform
+    if affine.is_identity and raster.crs is None:
+        raise DataError(f"{file}: not georeferenced, expected a raster with a transform from cells to coordinates")
+    return affine.a, affine.b, affine.c, affine.d, affine.e, affine.f
+
+
+def _crs_and_datum(file: Path, raster: Any) -> tuple[str | None, str | None]:
+    """Horizontal CRS and vertical datum, where stated; .hgt is EGM96 by its definition."""
+    code = raster.tags().get("DTED_VerticalDatum")
+    datum = "EGM96" if raster.driver == "SRTMHGT" else _DATUMS.get(code, code)
+    if raster.crs is None:
+        return None, datum
+    text = str(raster.crs.to_string())
+    if text.startswith(("COMPD_CS", "COMPOUNDCRS", "EPSG:")) and (parts := _parts(text)):
+        return parts[0], parts[1]
+    return text, datum
+
+
+def _parts(crs: str) -> tuple[str, str] | None:
+    """Horizontal CRS and name of the vertical one of a compound CRS, None for others."""
+    if crs in ("EPSG:4326", "EPSG:4269"):
+        return None
+    from pyproj import CRS
+
+    whole = CRS.from_user_input(crs)
+    if not whole.is_compound:
+        return None
+    horizontal, vertical = whole.sub_crs_list[:2]
+    return str(horizontal.to_string()), str(vertical.name)
+
+
+def _hgt_hint(file: Path) -> str:
+    """What an .hgt file must be, since GDAL does not say why it refuses one."""
+    if file.suffix.lower() != ".hgt":
+        return ""
+    if not re.match(r"[NS]\d\d[EW]\d\d\d", file.name, re.IGNORECASE):
+        return " named after its south-west corner, such as N47E009.hgt"
+    return f" of 1201 x 1201 or 3601 x 3601 two-byte values (2884802 or 25934402 bytes), not {file.stat().st_size}"
