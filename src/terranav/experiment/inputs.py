@@ -1,0 +1,149 @@
+"""What a run is given, checked once and made ready: the same for every estimator that is compared."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from terranav.core.earth import shift
+from terranav.core.errors import ConfigError, DataError, DataWarning
+from terranav.core.ins_grade import InsGrade
+from terranav.core.recording import DEFAULT_RAW_SIGMA_M, READY, Recording
+from terranav.core.records import Epoch, Prior
+from terranav.maps.map import Map
+from terranav.sensors.ready import ready
+
+#: directions in which the prior is probed for the map, in units of its sigma per axis
+_PROBES = 3.0 * np.array([(n, e) for n in (-1.0, 0.0, 1.0) for e in (-1.0, 0.0, 1.0)])
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """A recording, maps, an INS and a prior that go together.
+
+    Attributes
+    ----------
+    rec : Recording
+    maps : tuple of Map
+    ins : InsGrade
+    prior : Prior
+    epochs : tuple of Epoch
+        Ready measurements only; no truth.
+    assumed : tuple of str
+        What the recording did not say and was assumed, and what looked suspicious.
+    """
+
+    rec: Recording
+    maps: tuple[Map, ...]
+    ins: InsGrade
+    prior: Prior
+    epochs: tuple[Epoch, ...] = field(repr=False)
+    assumed: tuple[str, ...] = ()
+
+
+def prepare(
+    rec: Recording, maps: Sequence[Map] | Map, ins: InsGrade | None, prior: Prior | None, *, needs_maps: bool
+) -> Inputs:
+    """Check what a run is given and make its epochs ready.
+
+    Parameters
+    ----------
+    rec : Recording
+    maps : sequence of Map, or one
+    ins : InsGrade, optional
+        Else the recording's, else the default one, with a warning.
+    prior : Prior, optional
+        Else zero mean and the initial position sigma of the INS.
+    needs_maps : bool
+        Whether any estimator compares readings with maps.
+
+    Returns
+    -------
+    Inputs
+
+    Raises
+    ------
+    DataError
+        No map, no reading that a map can be compared with, or no map where the recording is.
+
+    Warns
+    -----
+    DataWarning
+        A grade or a sigma is assumed, or the map covers a part of the track only.
+    """
+    charts = (maps,) if isinstance(maps, Map) else tuple(maps)
+    for chart in charts:
+        if not isinstance(chart, Map):
+            raise ConfigError(f"maps holds {chart!r}, expected Map objects (terranav.open_map reads one from a file)")
+    assumed: list[str] = []
+    grade = ins if ins is not None else rec.ins
+    if grade is None:
+        grade = InsGrade()
+        assumed.append(
+            f"{rec.name}: nothing is said about the INS; assumed position_sigma_m = {grade.position_sigma_m:g}, "
+            f"velocity_sigma_mps = {grade.velocity_sigma_mps:g}, "
+            f"position_walk_m_per_sqrt_s = {grade.position_walk_m_per_sqrt_s:g}"
+        )
+    prior = Prior.from_ins(grade) if prior is None else prior
+    epochs = tuple(ready(rec.epochs()))
+    if needs_maps:
+        _check_kinds(rec, charts, epochs)
+        assumed += _assumed_sigmas(rec)
+        assumed += _check_cover(rec, charts, prior)
+    for text in assumed:
+        warnings.warn(text, DataWarning, stacklevel=3)
+    return Inputs(rec, charts, grade, prior, epochs, tuple(assumed))
+
+
+def _check_kinds(rec: Recording, maps: tuple[Map, ...], epochs: tuple[Epoch, ...]) -> None:
+    """Raise DataError when there is nothing to compare."""
+    if not maps:
+        raise DataError(f"{rec.name}: no map is given, expected at least one (the estimator 'ins' alone needs none)")
+    measured = sorted({reading.kind for epoch in epochs for reading in epoch.measurements})
+    mapped = sorted({chart.kind for chart in maps})
+    if not measured:
+        raise DataError(f"{rec.name}: holds no reading, expected at least one of kind {' or '.join(mapped)}")
+    if not set(measured) & set(mapped):
+        raise DataError(
+            f"{rec.name}: holds readings of kind {', '.join(measured)}, but the maps are of kind {', '.join(mapped)}"
+        )
+
+
+def _assumed_sigmas(rec: Recording) -> list[str]:
+    """One line that states the sigmas which the recording leaves out."""
+    texts = []
+    for key in rec.readings:
+        values = rec.columns[key]
+        unit = READY[key].unit if key in READY else "m"
+        default = READY[key].default_sigma if key in READY else DEFAULT_RAW_SIGMA_M[key]
+        own = rec.columns.get(READY[key].sigma_column) if key in READY else None
+        bare = np.isfinite(values) if own is None else np.isfinite(values) & ~np.isfinite(own)
+        if key not in rec.sigma and bare.any():
+            texts.append(f"{key} = {default:g} {unit}")
+    return [f"{rec.name}: no sigma is given for some readings; assumed {', '.join(texts)}"] if texts else []
+
+
+def _check_cover(rec: Recording, maps: tuple[Map, ...], prior: Prior) -> list[str]:
+    """Raise DataError when the prior about the track meets no map; one line when the track leaves it."""
+    mean, sigma = prior.mean_m, np.sqrt(np.diag(prior.cov_m2))
+    north, east = (mean + _PROBES * sigma).T[:, :, None]
+    reach = shift(rec.lat_deg, rec.lon_deg, -north, -east)
+    if not any(chart.covers(*reach).any() for chart in maps):
+        extents = "; ".join(f"{chart.name} spans {_extent(*chart.bounds_deg)}" for chart in maps)
+        raise DataError(f"{rec.name}: the track spans {_track_extent(rec)}, which no map covers ({extents})")
+    inside = np.any([chart.covers(rec.lat_deg, rec.lon_deg) for chart in maps], axis=0)
+    share = float(np.mean(inside))
+    return [] if share == 1.0 else [f"{rec.name}: the maps cover {100.0 * share:.1f} % of the indicated positions"]
+
+
+def _track_extent(rec: Recording) -> str:
+    """South, west, north, east of the indicated track, as text; its longitudes taken about the first."""
+    east = (rec.lon_deg - rec.lon_deg[0] + 180.0) % 360.0 - 180.0 + rec.lon_deg[0]
+    return _extent(float(rec.lat_deg.min()), float(east.min()), float(rec.lat_deg.max()), float(east.max()))
+
+
+def _extent(south: float, west: float, north: float, east: float) -> str:
+    return f"{south:.4f} to {north:.4f} N, {west:.4f} to {east:.4f} E"
