@@ -14,9 +14,10 @@ from terranav.core.errors import ConfigError
 
 
 def nearest_name(name: str, known: Iterable[str]) -> str:
-    """' (did you mean 'x'?)' for the closest known name, or an empty text."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" (did you mean {close[0]!r}?)" if close else ""
+    """' (did you mean 'x'?)' for the closest known name whatever its case, or an empty text."""
+    by_lower = {one.lower(): one for one in known}
+    close = difflib.get_close_matches(name.lower(), list(by_lower), n=1, cutoff=0.5)
+    return f" (did you mean {by_lower[close[0]]!r}?)" if close else ""
 
 
 def unknown_name(what: str, name: str, known: Iterable[str]) -> NoReturn:

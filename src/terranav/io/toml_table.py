@@ -98,6 +98,16 @@ class TomlTable:
             self.fail(key, 'a list of texts such as ["a", "b"]')
         return value
 
+    def nulls(self, key: str) -> list[str | float]:
+        """A list of texts and numbers that mean 'no reading', empty where the key is absent."""
+        value = self.value(key)
+        good = isinstance(value, list) and all(
+            isinstance(v, (str, int, float)) and not isinstance(v, bool) for v in value
+        )
+        if value is not None and not good:
+            self.fail(key, 'a list of numbers and texts such as [-9999.99, "*"]')
+        return value or []
+
     def table(self, key: str) -> TomlTable | None:
         """A table within this one."""
         value = self.value(key)
