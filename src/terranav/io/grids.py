@@ -67,9 +67,9 @@ def read_grid(file: Path, variable: str | None) -> Grid:
     import xarray as xr
 
     with file.open("rb") as stream:
-        engine = "scipy" if stream.read(3) == b"CDF" else "h5netcdf"
+        engine: Any = {"engine": "scipy", "mmap": False} if stream.read(3) == b"CDF" else {"engine": "h5netcdf"}
     try:
-        with xr.open_dataset(file, engine=engine, decode_times=False) as data:
+        with xr.open_dataset(file, decode_times=False, **engine) as data:
             data.load()
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError) as error:
         reason = " ".join(str(error).split())[:200]

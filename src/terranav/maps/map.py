@@ -46,7 +46,7 @@ class Map:
         Where it came from, and what to call it.
     """
 
-    values: NDArray[np.float32]
+    values: NDArray[Any]
     transform: tuple[float, float, float, float, float, float]
     crs: str = "EPSG:4326"
     kind: str = "terrain"
