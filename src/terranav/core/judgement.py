@@ -6,11 +6,11 @@ normalised innovation squared, NIS, smoothed over the latest readings).
 For readings as noisy as told one NIS is chi-square with 1 degree of freedom (Bar-Shalom, Li and Kirubarajan, Estimation
 with Applications to Tracking and Navigation, 2001, section 5.4), mean 1 and variance 2. Their exponential average of
 memory n has variance 2/(2n - 1), so it is close to chi-square with 2n - 1 degrees of freedom over that number. With n =
-16 (31 degrees of freedom) it exceeds 1.97 once in 1e3 readings and 2.6 once in 1e6. Told sigmas are seldom that good,
+16 (31 degrees of freedom) it exceeds 1.97 once in 1e3 readings and 2.7 once in 1e6. Told sigmas are seldom that good,
 hence the two limits: 4 is past the once-in-1e3 level even when the readings are 1.4 times as noisy as told, and 9 even
 when they are 2.1 times as noisy: beyond it, not the noise but the place is wrong.
-One NIS counts for at most four times the upper limit, so that a single gross outlier never crosses the lower one: it adds
-36/16 = 2.25.
+One NIS counts for at most four times the upper limit, so that a single gross outlier never crosses the lower one: it
+adds 36/16 = 2.25.
 """
 
 from __future__ import annotations
