@@ -18,6 +18,7 @@ Names are loaded when first used, so that `import terranav` stays fast.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -122,3 +123,17 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+def _show_in_notebooks() -> None:
+    """Inside IPython let Map, Recording and Result show themselves; nothing is imported until one is shown."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if shell is not None:
+        html = shell.display_formatter.formatters["text/html"]
+        for name in ("Map", "Recording", "Result"):
+            module = f"terranav.{_MODULE_OF[name]}"
+            html.for_type_by_name(module, name, lambda it: import_module("terranav.app.notebook").html_of(it))
+
+
+_show_in_notebooks()

@@ -1,0 +1,46 @@
+"""terranav run: one estimator over one recording."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from terranav.app.commands import options
+
+
+def run(
+    context: typer.Context,
+    *,
+    recording: options.Recording,
+    maps: options.Maps = None,
+    estimator: Annotated[str, typer.Option(metavar="NAME", help="See `terranav estimators`.")] = "pointmass",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A setting of the estimator. Repeatable."),
+    ] = None,
+    seed: options.Seed = 0,
+    out: options.Out = None,
+    as_json: options.Json = False,
+    since: options.Since = 0.0,
+    first: options.First = None,
+    ins: options.Ins = "",
+    drift: options.Drift = "",
+    drift_seed: options.DriftSeed = 0,
+    map_kind: options.MapKinds = None,
+    map_sigma: options.MapSigmas = None,
+    map_crs: options.MapCrs = None,
+    map_variable: options.MapVariables = None,
+    map_unit: options.MapUnits = None,
+) -> int:
+    """Run one estimator over a recording, beside the INS alone, and say how well it did."""
+    from terranav.app.flying import Wanted, conclude, fly, with_baseline
+    from terranav.app.given import Given, folder_for, settings_from
+
+    map_options = {
+        "kind": map_kind, "sigma": map_sigma, "crs": map_crs, "variable": map_variable, "unit": map_unit
+    }  # fmt: skip
+    given = Given(recording, maps or (), map_options, ins, drift, drift_seed, first)
+    wanted = Wanted(folder_for(out), as_json, since, context.obj, asked=estimator)
+    methods = with_baseline([estimator], settings_from(settings or ()))
+    return conclude(fly(*given.read(), methods=methods, seed=seed, wanted=wanted), wanted)
