@@ -7,8 +7,8 @@ Per horizontal axis, with e0, v0, the biases and the walks drawn from the InsGra
 
 a is the acceleration error of initial tilt and accelerometer bias, b the gyro bias (Groves, Principles of GNSS,
 Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., section 5.7). Grades without inertial-sensor figures
-have no Schuler part. The sigma of the velocity error is `InsGrade.velocity_sigma_at_mps`, until it would shrink. Heading
-errors, which act through manoeuvres, are met only in a strapdown simulation (`terranav.ins.strapdown`).
+have no Schuler part. The sigma of the velocity error is `InsGrade.velocity_sigma_at_mps`, until it would shrink.
+Heading errors, which act through manoeuvres, are met only in a strapdown simulation (`terranav.ins.strapdown`).
 """
 
 from __future__ import annotations

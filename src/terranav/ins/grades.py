@@ -11,8 +11,9 @@ tactical      Honeywell HG1700   1 deg/h           0.125 deg/sqrt(h)           1
 industrial    Sensonor STIM300   10 deg/h          0.15 deg/sqrt(h)            2 mg       0.06 m/s/sqrt(h)
 ============  =================  ================  ==========================  =========  ======================
 
-(The HG1700's velocity random walk is listed as 0.065 ft/s/sqrt(h).) The industrial MEMS unit is taken without a thermal calibration of one's own: the sheet's gyro bias under changing
-temperature (10 deg/h) and accelerometer bias over temperature (2 mg), not its bias instability (0.5 deg/h, 0.05 mg).
+The HG1700's velocity random walk is listed as 0.065 ft/s/sqrt(h). The industrial MEMS unit is taken without a thermal
+calibration of one's own: the sheet's gyro bias under changing temperature (10 deg/h) and accelerometer bias over
+temperature (2 mg), not its bias instability (0.5 deg/h, 0.05 mg).
 
 The initial errors are no data-sheet figures; they follow from the sensors and from how such systems are aligned:
 
