@@ -149,7 +149,8 @@ class Map:
         if self._projection.geographic:
             x = self._centre_xy[0] + wrap_longitude(x - self._centre_xy[0])
         i = self._inverse
-        return np.asarray(i[3] * x + i[4] * y + i[5]), np.asarray(i[0] * x + i[1] * y + i[2])
+        with np.errstate(invalid="ignore"):  # PROJ marks places without an image by infinity
+            return np.asarray(i[3] * x + i[4] * y + i[5]), np.asarray(i[0] * x + i[1] * y + i[2])
 
     def sample(self, lat_deg: ArrayLike, lon_deg: ArrayLike, method: Method = "bilinear") -> FloatArray:
         """Values of the field at positions.

@@ -18,6 +18,10 @@ def sample_map() -> Map:
     the dataset's own accuracy (2.4 m, Gesch 2007) with the rounding and the thinning. Heights refer to NAVD 88,
     horizontal positions to NAD 83, taken as WGS-84 (they differ by a metre or so).
 
+    The terrain is real; the labelled latitudes, kept here, seem to lie one map height (0.28667 degrees) too far north:
+    the highest cell would else be Cross Mountain (1077 m at 36.19833 N, 84.23056 W) within a cell. Move the map south
+    by that much before comparing it with the real place.
+
     Raises
     ------
     DataError
@@ -32,9 +36,9 @@ def sample_map() -> Map:
         )
     with np.load(path) as data:
         values = data["elevation"]
-        # The file calls its northern edge ymin (36.733) and its southern edge ymax (36.446): the first row is the
-        # northern one. xmax - xmin is 403 dx and the edges lie on half cells of the 3 arcsec raster, so they are the
-        # outer edges of cells whose centres are the whole arcseconds: pixel-is-area.
+        # The first row is the northern one, though the file calls its edge ymin (36.733) and the other ymax (36.446).
+        # xmax - xmin is 403 dx and the edges lie on half cells of the 3 arcsec raster: they are the outer edges of
+        # cells centred on whole multiples of 3 arcsec (pixel-is-area).
         west, north = float(data["xmin"]), float(max(data["ymin"], data["ymax"]))
         transform = (float(data["dx"]), 0.0, west, 0.0, -float(data["dy"]), north)
     return Map(
