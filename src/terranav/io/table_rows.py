@@ -106,7 +106,7 @@ def _in_order(table: TextTable, time_s: FloatArray, rows: Rows, policy: RowPolic
     if not policy.sort:
         seen, expected = "the time goes back", "times that increase"
         raise _refused(table, rows[backward[0] + 1], seen, expected, "on_unsorted = 'sort'")
-    story.append(f"sorted by time, which went back {backward.size} times")
+    story.append(f"sorted by time (steps back: {backward.size})")
     return rows[np.argsort(time_s[rows], kind="stable")]
 
 

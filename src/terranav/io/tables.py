@@ -58,13 +58,15 @@ is known) and `rows` (how many were kept, and why others were not).
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
-from terranav.core.errors import ConfigError, DataError
-from terranav.core.recording import COLUMNS, REQUIRED, TRUTH, FloatArray, Recording
+from terranav.core.errors import ConfigError, DataError, DataWarning
+from terranav.core.recording import COLUMNS, READY, REQUIRED, TRUTH, FloatArray, Recording
 from terranav.io.sidecar import about_from
 from terranav.io.table_columns import column_values, position_values
 from terranav.io.table_rows import kept_rows, policy_from
@@ -96,6 +98,11 @@ def convert_table(table_path: str | Path, columns_toml_path: str | Path) -> Reco
     DataError
         For the table: a column that is not there (offering the nearest), a cell that is no number, rows that the
         policies of [rows] do not let pass.
+
+    Warns
+    -----
+    DataWarning
+        For readings that occur nowhere on Earth: a unit or a sign must be wrong.
     """
     spec = read_toml(columns_toml_path, "a columns file (.toml)", ConfigError)
     about = about_from(spec)
@@ -117,10 +124,22 @@ def convert_table(table_path: str | Path, columns_toml_path: str | Path) -> Reco
     if zero is not None:
         source["start_utc"] = (zero + timedelta(seconds=start_s)).isoformat().replace("+00:00", "Z")
     name = Path(table_path).stem if about.name is None else about.name
+    for doubt in _doubts(columns):
+        warnings.warn(f"{table_path}: {doubt}", DataWarning, stacklevel=2)
     try:
         return Recording(columns, ins=about.ins, sigma=about.sigma, source=source, name=name)
     except DataError as problem:
         raise DataError(f"{table_path}: {str(problem).removeprefix(f'{name}: ')} (rows counted after [rows])") from None
+
+
+def _doubts(columns: Mapping[str, FloatArray]) -> Iterator[str]:
+    """What to warn of: readings that occur nowhere on Earth."""
+    for key, kind in READY.items():
+        values = kind.sign * columns[key][np.isfinite(columns[key])] if key in columns else np.empty(0)
+        low, high = kind.plausible
+        if values.size and (values.min() < low or values.max() > high):
+            seen = f"{key} runs from {values.min():g} to {values.max():g} {kind.unit} as map values"
+            yield f"{seen}, expected within [{low:g}, {high:g}]: is its unit or sign right?"
 
 
 def _layout(spec: TomlTable | None) -> Layout:

@@ -164,7 +164,7 @@ def read_text_table(path: str | Path, what: str, layout: Layout | None = None) -
             lines = iter(stream)
             for _ in range(layout.skip_lines):
                 next(lines, None)
-            rows = [[cell.strip() for cell in row] for row in _split(lines, layout) if any(map(str.strip, row))]
+            rows = [[cell.strip() for cell in row] for row in _split(lines, layout)]
     except (UnicodeDecodeError, csv.Error):
         raise DataError(f"{path}: is not a text table in {layout.encoding}, expected {what}") from None
     except OSError as problem:
@@ -189,9 +189,10 @@ def _padded(path: str, names: Sequence[str], first: Sequence[str]) -> list[str]:
 
 
 def _split(lines: Iterator[str], layout: Layout) -> Iterator[list[str]]:
-    """The cells of each line."""
+    """The cells of each line that is not blank."""
     if layout.comment:
         lines = (line.split(layout.comment, 1)[0] for line in lines)
+    lines = (line for line in lines if line.strip())
     if layout.delimiter == "whitespace":
         return (line.split() for line in lines)
     if layout.delimiter == "fixed":
