@@ -140,6 +140,11 @@ def judge(
     return replace(now, status=status, fixed=fixed)
 
 
+def started_over(before: Judgement) -> Judgement:
+    """The judgement of an estimator that has thrown its estimate away: still lost, but the next NIS counts afresh."""
+    return replace(before, readings=0)
+
+
 def _smoothed(settings: Judge, before: Judgement, nis: float, readings: int) -> Judgement:
     """The record with this epoch's NIS averaged in: a plain mean at first, exponential once the memory is full."""
     if math.isnan(nis) or readings < 1:

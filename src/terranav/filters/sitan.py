@@ -9,25 +9,29 @@ may lie, a plane is fitted to the map by least squares,
 and a reading y updates mean m and covariance P as in a Kalman filter with h linear and R = sensor^2 + map^2 + R_fit:
 
     S = g P g' + R,  K = P g' / S,  m + K (y - z),  (I - K g) P (I - K g)' + K R K'   (Joseph's form)
+
+What a plane leaves is no white noise along the track: readings closer together than the region is wide meet the same
+hill. So R_fit counts once for all readings within one sigma of the error on the ground; on the sample map that takes
+successful starts from 200 m and 500 m from 2 in 10 to 6 in 10. On a plane R_fit is zero and this is the Kalman filter.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from terranav.core.checks import finite
-from terranav.core.earth import shift
+from terranav.core.earth import offset_m, shift
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
-from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
-from terranav.core.records import Epoch, Estimate, Measurement, Prior
+from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, started_over
+from terranav.core.records import Epoch, Estimate, Measurement, Prior, Status
 from terranav.maps.map import Map
-from terranav.maps.noise import reading_sigma
+from terranav.maps.noise import MOST_REPEATED, reading_sigma
 
 FloatArray = NDArray[np.float64]
 
@@ -49,11 +53,13 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class SitanState:
-    """Mean and covariance after an epoch."""
+    """Mean and covariance after an epoch, and those it had if there had been no reading."""
 
+    prior: Prior
     mean_m: FloatArray
     cov_m2: FloatArray
-    judgement: Judgement
+    unaided_m2: float = 0.0  # variance of each axis that an INS without corrections has gained
+    judgement: Judgement = field(default_factory=Judgement)
     start_s: float = math.nan
     epoch: Epoch | None = None
     last_reading: Epoch | None = None
@@ -65,8 +71,9 @@ class Sitan:
 
     It tracks; it does not acquire. Where the initial error spans several hills no plane describes the map: the fit's
     residual then all but switches the readings off (the status stays 'searching'), or the filter settles in a wrong
-    valley, which the NIS betrays only once readings contradict it ('degraded', 'lost'). It does not start over by
-    itself. papers/000 shows it diverge; use it from a few hundred metres at most, or after a fix of another method.
+    valley, which the NIS betrays only once readings contradict it ('degraded', 'lost'). Then it starts over from the
+    initial prior and the drift since. papers/000 shows it diverge; use it from a few hundred metres at most, or after a
+    fix of another method.
 
     Attributes
     ----------
@@ -76,6 +83,8 @@ class Sitan:
         How fast the position error grows (`InsGrade.position_growth_m2`).
     gate_sigma : float or None
         A reading further from its prediction than this many sigmas is not used (but judged); None uses all.
+    restart : bool
+        Start over when lost; without, the filter stays where it is and goes on, as its first publications had it.
     converged_sigma_m : float or None
         1-sigma (largest axis) that counts as a fix; None is the finest map's cell.
 
@@ -88,6 +97,7 @@ class Sitan:
     maps: tuple[Map, ...]
     ins: InsGrade
     gate_sigma: float | None = None
+    restart: bool = True
     converged_sigma_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -100,7 +110,7 @@ class Sitan:
 
     def init(self, prior: Prior, rng: Generator) -> SitanState:
         """Mean and covariance of the prior, whatever its shape."""
-        return SitanState(prior.mean_m, prior.cov_m2, Judgement())
+        return SitanState(prior, prior.mean_m, prior.cov_m2)
 
     def step(self, state: SitanState, epoch: Epoch, rng: Generator) -> SitanState:
         """Grow the covariance by the INS's drift since the last epoch, then use the readings one by one."""
@@ -124,7 +134,8 @@ class Sitan:
             readings=len(nis),
             off_map=all(off_map) if off_map else None,
         )
-        return replace(state, judgement=judgement, last_reading=epoch if off_map else state.last_reading)
+        state = replace(state, judgement=judgement, last_reading=epoch if off_map else state.last_reading)
+        return _started_over(state) if self.restart and judgement.status is Status.LOST else state
 
     def estimate(self, state: SitanState) -> Estimate:
         """Mean and covariance."""
@@ -144,12 +155,13 @@ class Sitan:
             return replace(state, epoch=epoch, start_s=epoch.time_s)
         elapsed, dt = state.epoch.time_s - state.start_s, epoch.time_s - state.epoch.time_s
         growth = [self.ins.position_growth_m2(elapsed, dt, float(v)) for v in np.diag(state.cov_m2)]
-        return replace(state, epoch=epoch, cov_m2=state.cov_m2 + np.diag(growth))
+        unaided = state.unaided_m2 + self.ins.position_growth_m2(elapsed, dt)
+        return replace(state, epoch=epoch, cov_m2=state.cov_m2 + np.diag(growth), unaided_m2=unaided)
 
     def _updated(self, state: SitanState, reading: Measurement, plane: Plane, sigma: float) -> tuple[SitanState, float]:
         """The state after one reading, and the NIS of that reading."""
         g, P = plane.slope, state.cov_m2
-        noise = sigma**2 + plane.left
+        noise = sigma**2 + plane.left * _alike(state)
         innovation = reading.value - plane.level
         spread = float(g @ P @ g) + noise
         nis = innovation**2 / spread
@@ -159,6 +171,21 @@ class Sitan:
         keep = np.eye(2) - np.outer(gain, g)
         cov = keep @ P @ keep.T + noise * np.outer(gain, gain)
         return replace(state, mean_m=state.mean_m + gain * innovation, cov_m2=0.5 * (cov + cov.T)), nis
+
+
+def _started_over(state: SitanState) -> SitanState:
+    """The state as if there had never been a reading."""
+    cov = state.prior.cov_m2 + state.unaided_m2 * np.eye(2)
+    return replace(state, mean_m=state.prior.mean_m, cov_m2=cov, judgement=started_over(state.judgement))
+
+
+def _alike(state: SitanState) -> float:
+    """Readings that share what the plane leaves: those within one sigma of the error on the ground."""
+    if state.last_reading is None or state.epoch is None:
+        return 1.0
+    last, now = state.last_reading, state.epoch
+    spacing = math.hypot(*np.stack(offset_m(last.lat_deg, last.lon_deg, now.lat_deg, now.lon_deg)).tolist())
+    return min(max(1.0, largest_sigma_m(state.cov_m2) / max(spacing, 1e-9)), MOST_REPEATED)
 
 
 def fitted_plane(chart: Map, epoch: Epoch, mean_m: FloatArray, cov_m2: FloatArray) -> Plane | None:

@@ -18,7 +18,7 @@ from terranav.core.checks import finite
 from terranav.core.earth import shift
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
-from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
+from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, started_over
 from terranav.core.protocols import Matcher
 from terranav.core.records import Candidates, Epoch, Estimate, Posterior, Prior, Profile, Status
 from terranav.maps.map import Map
@@ -211,7 +211,7 @@ def _merged(fixes: Candidates) -> tuple[FloatArray, FloatArray]:
 def _started_over(state: WindowedState) -> WindowedState:
     """The belief as if there had never been a fix."""
     cov = state.prior.cov_m2 + state.unaided_m2 * np.eye(2)
-    return replace(state, mean_m=state.prior.mean_m, cov_m2=cov, fixed=False)
+    return replace(state, mean_m=state.prior.mean_m, cov_m2=cov, fixed=False, judgement=started_over(state.judgement))
 
 
 def _whole(key: str, value: object, minimum: int) -> None:
