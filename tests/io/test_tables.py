@@ -279,7 +279,7 @@ def test_row_policies(convert: Any, rows: str, message: str | None) -> None:
 
 
 def test_a_unit_that_cannot_be_is_doubted(convert: Any) -> None:
-    with pytest.warns(DataWarning, match=r"terrain_m runs from 100000 to 300000 m, .*: is its unit or sign right\?"):
+    with pytest.warns(DataWarning, match=r"terrain_m runs from 100000 to 300000 m .*: is its unit or sign right\?"):
         convert(f'{BASIC}terrain_m = {{column = "H", unit = "km"}}\n')
 
 

@@ -75,11 +75,10 @@ def _zone(spec: TomlTable) -> timezone:
     """The offset from UTC of texts that carry none."""
     text = spec.text("zone") or "+00:00"
     try:
-        zone = datetime.strptime(text, "%z").tzinfo
-        assert isinstance(zone, timezone)
+        offset = datetime.strptime(text, "%z").utcoffset()
     except ValueError:
         spec.fail("zone", "an offset from UTC such as '+01:00'")
-    return zone
+    return timezone(offset or timedelta())
 
 
 def _zero(spec: TomlTable) -> datetime | None:

@@ -182,8 +182,9 @@ def _truth_wanted(spec: TomlTable) -> tuple[str, ...]:
 
 def _where(table: TextTable, spec: TomlTable | None) -> TextTable:
     """The rows that [rows] where asks for."""
-    for key in spec.given() if spec else ():
-        assert spec is not None
+    if spec is None:
+        return table
+    for key in spec.given():
         value = spec.value(key)
         wanted = value if isinstance(value, list) else [value]
         if not wanted or not all(isinstance(item, (str, int, float)) and not isinstance(item, bool) for item in wanted):
