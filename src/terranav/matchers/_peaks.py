@@ -1,8 +1,9 @@
 """From a correlation surface to candidates with probabilities and covariances.
 
 The logarithm of the probability is known at the points of a search grid; within a cell it is taken as the quadratic
-through 3 x 3 points. A peak can be far narrower than a cell, so the cells that matter are cut until the probability is
-smooth over the parts; sums over the parts are then the moments.
+through 3 x 3 points. A peak can be far narrower than a cell. So the area that matters is searched again on a
+finer grid (`zoomed`), and cells that are still too coarse are cut until the probability is smooth over the parts;
+sums over the parts are then the moments.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from terranav.core.records import Candidates, Posterior
 
 FloatArray = NDArray[np.float64]
 
-APART = 3  # candidates are best within this many cells
 MOST_CANDIDATES = 8
 TAIL = 20.0  # log-probability below the best at which the search area ends to matter
 FINEST = 16  # a cell is cut at most this often per axis
 MOST_PARTS = 1_000_000  # of cells that are cut
+MOST_POINTS = 100_000  # of a finer grid
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,21 @@ def best_place(surface: Surface, log_p: FloatArray) -> tuple[float, float]:
     return float(surface.north_m[i]) + surface.step_m * north, float(surface.east_m[j]) + surface.step_m * east
 
 
-def candidates(surface: Surface, log_p: FloatArray, nis: float, sub_cell: bool) -> Candidates:
+def zoomed(surface: Surface, log_p: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Points (north, east) [m] of a finer grid over all that matters; None where this one is as fine as need be."""
+    slope, bend = _quadratics(log_p)
+    top = np.where(np.isnan(log_p), -np.inf, log_p + _gain(slope, bend))
+    cells = np.nonzero(top > top.max() - TAIL)
+    first, last = [max(int(c.min()) - 1, 0) for c in cells], [int(c.max()) + 1 for c in cells]
+    sides = [min(b, size - 1) - a for a, b, size in zip(first, last, top.shape)]
+    cuts = min(_cuts(top, bend), math.isqrt(MOST_POINTS // max(sides[0] * sides[1], 1)))
+    if cuts < 2:
+        return None
+    north, east = [a * 1.0 + np.arange(side * cuts + 1) / cuts for a, side in zip(first, sides)]
+    return surface.north_m[0] + surface.step_m * north, surface.east_m[0] + surface.step_m * east
+
+
+def candidates(surface: Surface, log_p: FloatArray, nis: float, apart_m: float | None) -> Candidates:
     """Distinct peaks, best first, each with the moments and the mass of the parts that lie nearest to it.
 
     Parameters
@@ -79,15 +94,17 @@ def candidates(surface: Surface, log_p: FloatArray, nis: float, sub_cell: bool) 
         Logarithm of the probability, up to a constant; NaN where it is zero. Not all of it NaN.
     nis : float
         Passed on.
-    sub_cell : bool
-        False: each cell is its centre, and the covariance has the step^2/12 of that.
+    apart_m : float or None
+        A candidate is best within this distance along each axis. None: within three cells, each of which is its centre,
+        and the covariance has the step^2/12 of that.
     """
     slope, bend = _quadratics(log_p)
-    if not sub_cell:
+    apart = 3 if apart_m is None else round(apart_m / surface.step_m)
+    if apart_m is None:
         slope, bend = np.zeros_like(slope), np.zeros_like(bend)
     top = np.where(np.isnan(log_p), -np.inf, log_p + _gain(slope, bend))
     parts = _cut(surface, log_p, top, slope, bend)
-    highest = maximum_filter(top, size=2 * APART + 1)[parts.cell[:, 0], parts.cell[:, 1]]
+    highest = maximum_filter(top, size=2 * apart + 1)[parts.cell[:, 0], parts.cell[:, 1]]
     peaks = np.flatnonzero(parts.top == highest)
     peaks = peaks[np.argsort(-parts.top[peaks], kind="stable")][:MOST_CANDIDATES]
     away = np.sum((parts.cell[:, None, :] - parts.cell[None, peaks, :]) ** 2, axis=2)
@@ -109,11 +126,9 @@ def candidates(surface: Surface, log_p: FloatArray, nis: float, sub_cell: bool) 
 
 
 def _cut(surface: Surface, log_p: FloatArray, top: FloatArray, slope: FloatArray, bend: FloatArray) -> _Parts:
-    """Cut the cells that matter so fine that the narrowest ridge near the top has a sigma of 0.8 parts."""
+    """Cut the cells that matter."""
     rows, cols = np.nonzero(top > top.max() - TAIL)
-    sharp = 0.5 * (-bend[0] - bend[2] + np.hypot(bend[0] - bend[2], 2.0 * bend[1]))[rows, cols]
-    sharpest = max(float(sharp[top[rows, cols] > top.max() - 3.0].max()), 0.0)  # 1/sigma^2 [1/cell^2]
-    cuts = min(math.ceil(max(0.8 * math.sqrt(sharpest), 1.0)), FINEST, max(1, math.isqrt(MOST_PARTS // rows.size)))
+    cuts = min(_cuts(top, bend), max(1, math.isqrt(MOST_PARTS // rows.size)))
     offset = (np.arange(cuts) + 0.5) / cuts - 0.5
     u, v = np.repeat(offset, cuts), np.tile(offset, cuts)
     (gn, ge), (nn, ne, ee) = slope[:, rows, cols, None], bend[:, rows, cols, None]
@@ -127,6 +142,14 @@ def _cut(surface: Surface, log_p: FloatArray, top: FloatArray, slope: FloatArray
         mass / mass.sum(),
         (surface.step_m / cuts) ** 2 / 12.0,
     )
+
+
+def _cuts(top: FloatArray, bend: FloatArray) -> int:
+    """Parts per axis so that the narrowest ridge near the top has a sigma of 0.8 parts."""
+    near = top > top.max() - 3.0
+    nn, ne, ee = bend[:, near]
+    sharpest = max(float(np.max(0.5 * (-nn - ee + np.hypot(nn - ee, 2.0 * ne)))), 0.0)  # 1/sigma^2 [1/cell^2]
+    return min(max(math.ceil(0.8 * math.sqrt(sharpest)), 1), FINEST)
 
 
 def _moments(parts: _Parts, own: NDArray[np.bool_]) -> tuple[float, FloatArray, FloatArray]:

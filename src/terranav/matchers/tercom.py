@@ -36,12 +36,13 @@ from terranav.core.records import Candidates, Measurement, Prior, Profile
 from terranav.kernels.tercom import correlation_surface
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
-from terranav.matchers._peaks import Surface, best_place, candidates
+from terranav.matchers._peaks import Surface, best_place, candidates, zoomed
 
 FloatArray = NDArray[np.float64]
 
 LEAST_VALID = 0.8  # share of a profile's points that must lie on the map
 LEAST_READINGS = 4  # two errors, one offset, and one more to judge by
+MOST_ZOOMS = 3
 FINEST = 16  # a narrow prior makes the step at most this many times finer than the map
 
 
@@ -60,8 +61,9 @@ class Tercom:
         Half-width of the search area in sigmas of a Gaussian prior; a uniform prior is searched over the whole of its
         rectangle. Cutting takes variance away: 0.1 % at 4, 2.7 % at 3, and again at each later fix over flat ground.
     sub_cell : bool
-        Locate the fix between the points of the grid, by quadratics through 3 x 3 points of the surface. Without, the
-        fix is a mean of grid points, and its covariance has the cell^2/12 of that.
+        Locate the fix between the points of the grid: by quadratics through 3 x 3 points of the surface, after a second
+        search in finer steps where a peak is narrower than the cells. Without, the fix is a mean of grid points, and
+        its covariance has the cell^2/12 of that.
     remove_mean : bool
         Compare profile and map each less its mean: indifferent to a constant height offset (barometer, datum).
     max_cells : int
@@ -117,22 +119,32 @@ class Tercom:
         """
         surface = self.surface(prior, profile)
         log_prior = self._log_prior(prior, surface)
-        known = np.isfinite(surface.score)
         share = np.exp(log_prior)
-        if share[known].sum() <= 0.5 * share.sum():
+        if share[np.isfinite(surface.score)].sum() <= 0.5 * share.sum():
             return Candidates(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
-        cost, nis = self._cost(surface, log_prior, profile)
-        return candidates(surface, log_prior - cost * surface.score, nis, self.sub_cell)
+        apart_m = 3.0 * surface.step_m if self.sub_cell else None
+        log_p, nis = self._log_p(surface, prior, profile)
+        for _ in range(MOST_ZOOMS if self.sub_cell else 0):
+            axes = zoomed(surface, log_p)
+            if axes is None:
+                break
+            surface = self._surface_at(*axes, profile)
+            log_p, nis = self._log_p(surface, prior, profile)
+        return candidates(surface, log_p, nis, apart_m)
 
     def surface(self, prior: Prior, profile: Profile) -> Surface:
         """The correlation surface over the search area of a prior; arguments and errors as of `match`."""
+        if len(profile.epochs) < LEAST_READINGS:
+            raise DataError(
+                f"tercom: the profile has {len(profile.epochs)} readings, expected at least {LEAST_READINGS}"
+            )
+        return self._surface_at(*self._axes(prior, self._map(profile)), profile)
+
+    def _surface_at(self, north: FloatArray, east: FloatArray, profile: Profile) -> Surface:
+        """The correlation surface at errors north (p,) and east (q,) [m]."""
         chart = self._map(profile)
-        n = len(profile.epochs)
-        if n < LEAST_READINGS:
-            raise DataError(f"tercom: the profile has {n} readings, expected at least {LEAST_READINGS}")
-        north, east = self._axes(prior, chart)
         radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
-        frames = np.empty((n, 2, 6))
+        frames = np.empty((len(profile.epochs), 2, 6))
         for k, epoch in enumerate(profile.epochs):
             frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
             frames[k] = frame.row, frame.col
@@ -142,6 +154,12 @@ class Tercom:
         correlation_surface(chart.values, frames, readings, (north, east), absolute, self.remove_mean, score, valid)
         score[valid < LEAST_VALID - 1e-9] = np.nan
         return Surface(north, east, score)
+
+    def _log_p(self, surface: Surface, prior: Prior, profile: Profile) -> tuple[FloatArray, float]:
+        """(p, q) logarithm of the probability, NaN where the map says too little, and the NIS of the best place."""
+        log_prior = self._log_prior(prior, surface)
+        cost, nis = self._cost(surface, log_prior, profile)
+        return log_prior - cost * surface.score, nis
 
     def _map(self, profile: Profile) -> Map:
         """The first map of the profile's kind."""
