@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 Methods = Mapping[str, tuple[str, Mapping[str, Any]]]
 OnEpoch = Callable[[str, int, int], None]
+
+METRICS = "metrics.json"
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,8 @@ def conclude(outcome: Outcome, wanted: Wanted) -> int:
     status = OK
     summary = outcome.as_json()
     if wanted.out is not None:
-        summary["files"] = save(outcome, summary, wanted.out)
+        summary["files"] = [*[_result_file(label) for label in outcome.results], METRICS]
+        save(outcome, summary, wanted.out)
         status = report(outcome, wanted.out)
     if wanted.json:
         show_json(summary)
@@ -114,17 +118,14 @@ def conclude(outcome: Outcome, wanted: Wanted) -> int:
     return status
 
 
-def save(outcome: Outcome, summary: Mapping[str, Any], out: Path) -> list[str]:
+def save(outcome: Outcome, summary: Mapping[str, Any], out: Path) -> None:
     """Write the results and the metrics, before anything that could fail for a lesser reason."""
     from terranav.io.files import replacing
 
-    names = []
     for label, result in outcome.results.items():
-        names.append(f"result-{label}.parquet")
-        result.save(out / names[-1])
-    with replacing(out / "metrics.json") as path:
+        result.save(out / _result_file(label))
+    with replacing(out / METRICS) as path:
         path.write_text(as_json(summary) + "\n", encoding="utf-8")
-    return [*names, "metrics.json"]
 
 
 def report(outcome: Outcome, out: Path) -> int:
@@ -143,6 +144,12 @@ def report(outcome: Outcome, out: Path) -> int:
         complain(f"the report was not written ({type(error).__name__}: {error}); the results are in {out}")
         return INCOMPLETE
     return OK
+
+
+def _result_file(label: str) -> str:
+    """Name of a result's file: what a file name may not hold becomes a dash."""
+    plain = re.sub(r"[^\w.+-]+", "-", label)
+    return f"result-{plain}.parquet"
 
 
 @contextlib.contextmanager
