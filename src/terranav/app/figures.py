@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from terranav.app.outcome import BASELINE, ELLIPSE_95, Outcome
 from terranav.app.style import INS, MAIN, TRUTH, colours, new_figure, status_ribbon, styled, time_axis
 from terranav.app.trackmap import track_map
-from terranav.app.words import distance
 from terranav.core.records import Posterior
 from terranav.maps.map import Map
 
@@ -34,7 +33,7 @@ def error_history(outcome: Outcome) -> Figure:
         top.set_ylabel("distance from the truth" if outcome.recording.has_truth else "claimed error")
         top.set_yscale("log")
         top.set_ylim(bottom=floor)
-        top.yaxis.set_major_formatter(FuncFormatter(lambda y, _: distance(y)))
+        top.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} m" if y < 1000 else f"{y / 1000:g} km"))
         top.yaxis.set_minor_formatter(FuncFormatter(lambda y, _: ""))
         top.legend(loc="upper left", ncols=5, fontsize=9.5, frameon=True, framealpha=0.85, edgecolor="none")
         status_ribbon(bottom, time, [(name, outcome.results[name].status) for name in names])

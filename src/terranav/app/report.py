@@ -75,7 +75,7 @@ def cards(outcome: Outcome) -> list[tuple[str, str]]:
         off,
         (words.distance(held["r95_m"]), f"{name}, 95 % of the time after its first fix"),
         fix,
-        (words.percent(held["contained_95"]), "of epochs with the truth inside its claimed 95 % ellipse"),
+        (words.percent(held["contained_95"]), "of epochs since then with the truth inside its 95 % ellipse"),
     ]
 
 
@@ -87,7 +87,7 @@ def captions(outcome: Outcome) -> dict[str, dict[str, str]]:
             "title": "Where it went",
             "caption": (
                 f"The map, lit from the north-west. The INS alone (dashed red) leaves the true track (black); {name} "
-                "(blue) is drawn while it says that it has a fix."
+                "(blue), like any other estimator, is drawn while it says that it has a fix."
                 if known
                 else f"The map, lit from the north-west, the track the INS indicates (dashed red) and {name}'s (blue)."
             ),

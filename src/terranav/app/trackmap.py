@@ -39,14 +39,14 @@ def track_map(outcome: Outcome) -> Figure:
         frame = _frame(outcome)
         south, west, north, east = frame
         wide = _aspect(frame)
-        height = float(np.clip(8.9 / wide, 3.4, 9.5)) + 0.75
+        height = float(np.clip(8.9 / wide, 3.4, 7.2)) + 0.75
         figure = new_figure(height)
         axes = figure.subplots()
         if outcome.maps:
             shade(axes, outcome.maps[0], frame)
         axes.set(xlim=(west, east), ylim=(south, north))
         _tracks(axes, outcome)
-        dress(axes, frame)
+        dress(axes, frame, bar_left=not _in_corner(outcome, frame))
         figure.legend(loc="outside lower center", ncols=4, fontsize=10)
     return figure
 
@@ -77,8 +77,8 @@ def shade(axes: Axes, chart: Map, frame: Frame) -> None:
     axes.imshow(picture, extent=(west, east, south, north), origin="upper", aspect="auto", interpolation="bilinear")
 
 
-def dress(axes: Axes, frame: Frame) -> None:
-    """North-up axes in degrees with the right proportions, and a scale bar."""
+def dress(axes: Axes, frame: Frame, *, bar_left: bool = True) -> None:
+    """North-up axes in degrees with the right proportions, and a scale bar at the lower left or right."""
     south, west, north, east = frame
     per_lat, per_lon = (float(value) for value in metres_per_degree(0.5 * (south + north)))
     axes.set_aspect(per_lat / per_lon)
@@ -93,6 +93,8 @@ def dress(axes: Axes, frame: Frame) -> None:
         spine.set_visible(True)
     length = nice_length((east - west) * per_lon / 4)
     x0, y0 = west + 0.03 * (east - west), south + 0.035 * (north - south)
+    if not bar_left:
+        x0 = east - 0.03 * (east - west) - length / per_lon
     x1 = x0 + length / per_lon
     axes.plot([x0, x1], [y0, y0], color="#222222", linewidth=3.5, path_effects=_HALO, solid_capstyle="butt", zorder=9)
     text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
@@ -116,12 +118,13 @@ def dress(axes: Axes, frame: Frame) -> None:
 def _tracks(axes: Axes, outcome: Outcome) -> None:
     """The lines, from the least important to the most."""
     rec, shades = outcome.recording, colours(outcome)
-    axes.plot(
-        rec.lon_deg, rec.lat_deg, color=INS, linewidth=1.8, linestyle=(0, (5, 2)), path_effects=_HALO, label="INS alone"
-    )
     if rec.has_truth:
         lat, lon = rec.columns["true_lat_deg"], rec.columns["true_lon_deg"]
-        axes.plot(lon, lat, color=TRUTH, linewidth=4.0, path_effects=_HALO, label="true track")
+        axes.plot(lon, lat, color=TRUTH, linewidth=4.0, path_effects=_HALO, zorder=4, label="true track")
+    dashes = (0, (5, 2))
+    axes.plot(
+        rec.lon_deg, rec.lat_deg, color=INS, linewidth=1.8, linestyle=dashes, path_effects=_HALO, label="INS alone"
+    )
     names = [name for name in outcome.results if name not in (BASELINE, outcome.main)] + [outcome.main]
     for name in names:
         if name == BASELINE:
@@ -136,7 +139,7 @@ def _tracks(axes: Axes, outcome: Outcome) -> None:
             color=shades[name],
             linewidth=width,
             zorder=order,
-            label=f"{name}, while it has a fix",
+            label=name,
             marker="o" if fixed.size < 250 else "",
             markersize=2.5 * width / 1.9,
         )
@@ -172,6 +175,18 @@ def _ends(axes: Axes, outcome: Outcome) -> None:
             path_effects=_HALO,
             zorder=8,
         )
+
+
+def _in_corner(outcome: Outcome, frame: Frame) -> bool:
+    """Whether a track passes where the scale bar would stand at the lower left."""
+    south, west, north, east = frame
+    columns = outcome.recording.columns
+    found = False
+    for prefix in ("", "true_") if outcome.recording.has_truth else ("",):
+        lat, lon = columns[f"{prefix}lat_deg"], columns[f"{prefix}lon_deg"]
+        low, left = lat < south + 0.16 * (north - south), lon < west + 0.34 * (east - west)
+        found = found or bool((low & left).any())
+    return found
 
 
 def _frame(outcome: Outcome) -> Frame:
