@@ -70,10 +70,9 @@ def consistency(error_m: FloatArray, cov_m2: FloatArray) -> dict[str, float]:
     if not known.any():
         return dict.fromkeys(("nees", "nees_per_axis", "contained_95"), float("nan"))
     (north, east), cov = error_m[known].T, cov_m2[known]
-    with np.errstate(divide="ignore"):  # a covariance of zero beside an error is an infinite NEES, not an exception
-        squared = (north**2 * cov[:, 1, 1] + east**2 * cov[:, 0, 0] - north * east * (cov[:, 0, 1] + cov[:, 1, 0])) / (
-            cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] * cov[:, 1, 0]
-        )
+    det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] * cov[:, 1, 0]
+    scaled = north**2 * cov[:, 1, 1] + east**2 * cov[:, 0, 0] - north * east * (cov[:, 0, 1] + cov[:, 1, 0])
+    squared = np.divide(scaled, det, out=np.full(det.size, np.inf), where=det > 0.0)  # certainty cannot be right
     nees = float(squared.mean())
     return {"nees": nees, "nees_per_axis": nees / 2.0, "contained_95": float(np.mean(squared <= CHI2_95_2DOF))}
 

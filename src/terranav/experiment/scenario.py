@@ -15,6 +15,8 @@ from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.records import Prior
 from terranav.experiment.scenario_tables import (
+    NAME,
+    NAME_EXPECTED,
     EstimatorTable,
     GradeTable,
     InsTable,
@@ -39,7 +41,7 @@ class Scenario(Table):
     Unknown keys are errors. `Scenario.model_json_schema()` lists every key with its unit.
     """
 
-    name: str = key("scenario", "a text", "What to call it; else the file's name")
+    name: str = key("scenario", NAME_EXPECTED, "What to call it; else the file's name", pattern=NAME)
     seed: int = key(0, "a whole number >= 0", "Seed of everything that is random", ge=0)
     runs: int = key(1, "a whole number >= 1", "Runs of a Monte Carlo study", ge=1)
     maps: list[MapTable] = key(..., "at least one table [[maps]]", "Maps, at most one of a kind", min_length=1)
@@ -142,7 +144,7 @@ class Scenario(Table):
         if table.file == SAMPLE:
             from terranav.maps.sample_dem import sample_map
 
-            if table.kind != "terrain" or {"crs", "variable", "unit"} & set(given):
+            if table.kind != "terrain" or set(given) - {"kind", "sigma", "name"}:
                 raise ConfigError("[[maps]] file = 'sample' is a terrain map in metres, expected only sigma and name")
             return replace(sample_map(), **given)
         from terranav.io.rasters import open_map

@@ -20,6 +20,8 @@ from terranav.sensors.barometer import Barometer
 
 _NUMBER, _POSITIVE, _NOT_NEGATIVE, _TEXT = "a number", "a number > 0", "a number >= 0", "a text"
 _KINDS = "'terrain', 'bathymetry', 'gravity' or 'magnetic'"
+#: what can stand in the name of a file
+NAME, NAME_EXPECTED = r"^[\w .+-]+$", "letters, digits, spaces and . + - _"
 Kind = Literal["terrain", "bathymetry", "gravity", "magnetic"]
 
 
@@ -52,8 +54,11 @@ class MapTable(Table):
     kind: Kind = key("terrain", _KINDS, "What the map shows")
     sigma: float | None = key(None, _NOT_NEGATIVE, "1-sigma of the map error [the kind's unit: m, m, mGal, nT]", ge=0)
     crs: str | None = key(None, _TEXT, "CRS, where the file states none or a wrong one: anything that pyproj takes")
-    variable: str | None = key(None, _TEXT, "Variable of a NetCDF file, or a band's description")
+    variable: str | int | None = key(
+        None, "a text, or a whole number", "Variable of a NetCDF file; a band's description, or its number from 1"
+    )
     unit: str | None = key(None, _TEXT, "Unit of the file's values, where the file states none or a wrong one")
+    positive_down: bool | None = key(None, "true or false", "The file holds depths: negate them")
     name: str | None = key(None, _TEXT, "What to call the map; else the file's name")
 
 
@@ -246,7 +251,9 @@ class EstimatorTable(Table):
     """[[estimators]]: a method to run."""
 
     name: str = key(..., "the name of an estimator", "Name of the method, from terranav.estimators()")
-    label: str | None = key(None, _TEXT, "What to call it in tables; else its name")
+    label: str | None = key(
+        None, NAME_EXPECTED, "What to call it in tables and file names; else its name", pattern=NAME
+    )
     settings: dict[str, Any] = key({}, "a table", "Settings of the method")
 
     @model_validator(mode="after")
