@@ -66,6 +66,8 @@ def test_verdict(outcome: Outcome) -> None:
     text = words.verdict(outcome)
     assert text.startswith("pointmass held the position within 10 m (95 %) for 3 min; the INS alone")
     assert end in text
+    poor = words.verdict(with_status(outcome, 0.8 * outcome.final_ins_error_m, ["converged"] * EPOCHS))
+    assert "knew the position only to" in poor
     never = words.verdict(with_status(outcome, 10.0, ["searching"] * EPOCHS))
     assert never.startswith("pointmass never found its position; ")
     lost = words.verdict(with_status(outcome, 10.0, ["converged"] * 100 + ["lost"] * 20))

@@ -114,6 +114,13 @@ class Outcome:
             return np.full(len(self.recording), np.nan)
         return np.asarray(np.hypot(north, east))
 
+    def ins_r95_m(self, since_s: float) -> float:
+        """95th percentile of the INS error from so many seconds after the start on [m], NaN where it is not known."""
+        time_s = self.recording.time_s
+        later = self.ins_distance_m[time_s - time_s[0] >= since_s]
+        later = later[np.isfinite(later)]
+        return float(np.percentile(later, 95.0)) if later.size else math.nan
+
     @property
     def initial_ins_error_m(self) -> float:
         """Distance of the first indicated position from the true one [m]."""

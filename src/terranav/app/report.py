@@ -144,7 +144,7 @@ def _unbroken(value: Any) -> Any:
     """Keep numbers and their units on one line; pictures are left alone."""
     if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
         return value
-    return re.sub(r"(?<=\d) (?=(?:%|m|km|s|min|h)(?![\w/]))", "\N{NO-BREAK SPACE}", value)
+    return re.sub(r"(?<=\d) (?=(?:%|m|km|s|min|h)(?![\w/]))|(?<=\d h) (?=\d)", "\N{NO-BREAK SPACE}", value)
 
 
 def _told(value: Any) -> str:

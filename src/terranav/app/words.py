@@ -62,7 +62,8 @@ def verdict(outcome: Outcome) -> str:
     held = outcome.metrics_after_fix(name)
     span_s = outcome.duration_s - fix_s
     end = outcome.status_at_end(name)
-    text = f"{name} held the position within {distance(held['r95_m'])} (95 %) for {duration(span_s)}; {alone}."
+    did = "held the position within" if held["r95_m"] < 0.5 * outcome.ins_r95_m(fix_s) else "knew the position only to"
+    text = f"{name} {did} {distance(held['r95_m'])} (95 %) for {duration(span_s)}; {alone}."
     if end in ("lost", "off_map"):
         text = f"{name} found its position after {duration(fix_s)} but ended {end.replace('_', ' ')}; {alone}."
     elif outcome.final_error_m(name) > max(outcome.final_ins_error_m, 1.0):
