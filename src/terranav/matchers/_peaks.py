@@ -57,7 +57,7 @@ class _Parts:
     north_m: FloatArray  # (m, f * f)
     east_m: FloatArray
     mass: FloatArray  # (m, f * f), sums to one
-    variance_m2: float  # of a place within a part
+    floor_m2: float  # least variance: all the mass in one part is not certainty
 
 
 def best_place(surface: Surface, log_p: FloatArray) -> tuple[float, float]:
@@ -104,12 +104,13 @@ def candidates(surface: Surface, log_p: FloatArray, nis: float, apart_m: float |
         slope, bend = np.zeros_like(slope), np.zeros_like(bend)
     top = np.where(np.isnan(log_p), -np.inf, log_p + _gain(slope, bend))
     parts = _cut(surface, log_p, top, slope, bend)
+    inner_m2 = surface.step_m**2 / 12.0 if apart_m is None else parts.floor_m2
     highest = maximum_filter(top, size=2 * apart + 1)[parts.cell[:, 0], parts.cell[:, 1]]
     peaks = np.flatnonzero(parts.top == highest)
     peaks = peaks[np.argsort(-parts.top[peaks], kind="stable")][:MOST_CANDIDATES]
     away = np.sum((parts.cell[:, None, :] - parts.cell[None, peaks, :]) ** 2, axis=2)
     owner = np.argmin(away, axis=1)
-    moments = [_moments(parts, owner == k) for k in range(peaks.size)]
+    moments = [_moments(parts, owner == k, inner_m2) for k in range(peaks.size)]
     share = np.array([entry[0] for entry in moments])
     best = np.argsort(-share, kind="stable")
     weight = np.zeros(top.shape)
@@ -140,7 +141,7 @@ def _cut(surface: Surface, log_p: FloatArray, top: FloatArray, slope: FloatArray
         surface.north_m[rows, None] + surface.step_m * u,
         surface.east_m[cols, None] + surface.step_m * v,
         mass / mass.sum(),
-        (surface.step_m / cuts) ** 2 / 12.0,
+        (0.1 * surface.step_m / cuts) ** 2,
     )
 
 
@@ -152,14 +153,14 @@ def _cuts(top: FloatArray, bend: FloatArray) -> int:
     return min(max(math.ceil(0.8 * math.sqrt(sharpest)), 1), FINEST)
 
 
-def _moments(parts: _Parts, own: NDArray[np.bool_]) -> tuple[float, FloatArray, FloatArray]:
-    """Mass, mean and covariance of some of the parts."""
+def _moments(parts: _Parts, own: NDArray[np.bool_], inner_m2: float) -> tuple[float, FloatArray, FloatArray]:
+    """Mass, mean and covariance of some of the parts, each of which has a variance within."""
     mass = parts.mass[own]
     share = float(mass.sum())
     place = np.stack([parts.north_m[own], parts.east_m[own]], axis=-1)
     mean = np.tensordot(mass, place, 2) / share
     off = place - mean
-    return share, mean, np.einsum("ij,ijk,ijl->kl", mass, off, off) / share + np.eye(2) * parts.variance_m2
+    return share, mean, np.einsum("ij,ijk,ijl->kl", mass, off, off) / share + np.eye(2) * inner_m2
 
 
 def _quadratics(field: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -134,11 +134,10 @@ class Tercom:
 
     def surface(self, prior: Prior, profile: Profile) -> Surface:
         """The correlation surface over the search area of a prior; arguments and errors as of `match`."""
-        if len(profile.epochs) < LEAST_READINGS:
-            raise DataError(
-                f"tercom: the profile has {len(profile.epochs)} readings, expected at least {LEAST_READINGS}"
-            )
-        return self._surface_at(*self._axes(prior, self._map(profile)), profile)
+        chart, n = self._map(profile), len(profile.epochs)
+        if n < LEAST_READINGS:
+            raise DataError(f"tercom: the profile has {n} readings, expected at least {LEAST_READINGS}")
+        return self._surface_at(*self._axes(prior, chart), profile)
 
     def _surface_at(self, north: FloatArray, east: FloatArray, profile: Profile) -> Surface:
         """The correlation surface at errors north (p,) and east (q,) [m]."""
@@ -230,9 +229,15 @@ def _shared_sigma(profile: Profile, chart: Map) -> FloatArray:
 
 
 def _independent(residual: FloatArray) -> float:
-    """Share of the residuals that counts as independent, from their lag-one correlation."""
+    """Share of the readings that counts as independent, from the lag-one correlation of the residuals over sigma.
+
+    Residuals far below the told sigma, of a map and readings without noise, count for no more than they weigh.
+    """
     n, power = residual.size, float(residual @ residual)
     if power == 0.0:
         return 1.0
     lag = float(residual[1:] @ residual[:-1]) / power
-    return (1.0 - lag) / (1.0 + lag) if lag > 2.0 / math.sqrt(n) else 1.0
+    if lag <= 2.0 / math.sqrt(n):
+        return 1.0
+    lag *= min(1.0, power / n)
+    return (1.0 - lag) / (1.0 + lag)

@@ -195,8 +195,8 @@ class Windowed:
             mean = cov_part @ ((1.0 - share) * before @ belief.mean_m + share * after @ mean)
             cov = 0.5 * (cov_part + cov_part.T)
         half_s = 0.5 * (state.window[-1].time_s - state.window[0].time_s)
-        elapsed = state.window[-1].time_s - half_s - state.start_s
-        drift = self.ins.position_growth_m2(max(elapsed, 0.0), half_s, 0.0)
+        speed = self.ins.velocity_sigma_at_mps(state.window[-1].time_s - state.start_s)
+        drift = (speed * half_s) ** 2 + self.ins.position_walk_m_per_sqrt_s**2 * half_s
         return replace(state, mean_m=mean, cov_m2=cov + drift * np.eye(2), fixed=True)
 
 
