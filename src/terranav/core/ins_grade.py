@@ -80,7 +80,7 @@ class InsGrade:
             + walk_var * t
             + (tilt_mps2**2 + accel_mps2**2) * sine**2
             + (gyro_mps3 * (1.0 - math.cos(min(w * t, math.pi))) / w**2) ** 2
-            + gyro_walk**2 * min(t, 1.0 / w) ** 2 * t / 3.0
+            + gyro_walk**2 * max(0.5 * t - 0.25 * math.sin(2.0 * w * t) / w, 0.0) / w**2
         )
 
     def position_growth_m2(self, elapsed_s: float, dt_s: float, variance_m2: float = math.inf) -> float:
@@ -89,8 +89,8 @@ class InsGrade:
         A drift is no white noise: a filter without a velocity state that averages readings over a time T lags a drift
         v by v T. The growth returned is that of an INS last known T ago, walk^2 dt + sigma_v^2 ((T + dt)^2 - T^2), T
         being the time in which its drift would have filled the present variance, walk^2 T + sigma_v^2 T^2 = variance,
-        but no longer than `elapsed_s`. So the variance settles where the lag is one sigma, and without readings it
-        grows as that of the unaided INS, with t^2.
+        but no longer than the drift since the start takes at the present speed. So the variance settles where the lag
+        is one sigma, and without readings it grows as that of the unaided INS, with t^2.
 
         Parameters
         ----------
@@ -101,10 +101,12 @@ class InsGrade:
         variance_m2 : float
             Present variance of the axis [m^2]; infinite for an INS that nothing corrects.
         """
-        speed2 = self.velocity_sigma_at_mps(elapsed_s + dt_s) ** 2
-        walk2 = self.position_walk_m_per_sqrt_s**2
-        since = elapsed_s
-        if speed2 > 0.0 and math.isfinite(variance_m2):
-            root = math.sqrt(walk2 * walk2 + 4.0 * speed2 * variance_m2)
+        walk2, speed = self.position_walk_m_per_sqrt_s**2, self.velocity_sigma_at_mps(elapsed_s + dt_s)
+        if speed == 0.0:
+            return walk2 * dt_s
+        start, middle = (self.velocity_sigma_at_mps(part * elapsed_s) for part in (0.0, 0.5))
+        since = elapsed_s * (start + 4.0 * middle + speed) / (6.0 * speed)  # of a drift at this speed: Simpson's rule
+        if math.isfinite(variance_m2):
+            root = math.sqrt(walk2 * walk2 + 4.0 * speed * speed * variance_m2)
             since = min(since, 2.0 * variance_m2 / (walk2 + root))
-        return walk2 * dt_s + speed2 * (2.0 * since + dt_s) * dt_s
+        return walk2 * dt_s + speed * speed * (2.0 * since + dt_s) * dt_s
