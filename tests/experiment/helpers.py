@@ -39,3 +39,10 @@ def flight(epochs: int = 60) -> Recording:
 
 def without_truth(rec: Recording) -> Recording:
     return replace(rec, columns={key: value for key, value in rec.columns.items() if not key.startswith("true")})
+
+
+def equal_columns(first: Recording, second: Recording) -> bool:
+    """Whether two recordings hold the same bits."""
+    return set(first.columns) == set(second.columns) and all(
+        values.tobytes() == second.columns[key].tobytes() for key, values in first.columns.items()
+    )
