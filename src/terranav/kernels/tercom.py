@@ -32,30 +32,32 @@ def correlation_surface(values, frames, readings, lattice, absolute, remove_mean
     """
     place_north, place_east = -lattice[0], -lattice[1]
     n, q = readings.shape[0], place_east.size
-    difference = np.empty((n, q))  # of one row of the lattice: stays in the cache for both passes
-    total, weight, centre = np.empty(q), np.empty(q), np.empty(q)
+    difference = np.empty((n, q))  # of one row of the lattice: stays in the cache for all passes
+    weight, centre = np.empty(q), np.empty(q)
     for i in range(place_north.size):
-        total[:], weight[:], centre[:], valid[i] = 0.0, 0.0, 0.0, 0.0
+        place = place_north[i : i + 1]
+        count, total = valid[i], score[i]
+        count[:], total[:], weight[:], centre[:] = 0.0, 0.0, 0.0, 0.0
         for k in range(n):
-            line = difference[k]
-            bilinear_lattice(
-                values, frames[k, 0], frames[k, 1], place_north[i : i + 1], place_east, difference[k : k + 1]
-            )
-            value, w = readings[k, 0], readings[k, 1]
+            line, value, w = difference[k], readings[k, 0], readings[k, 1]
+            bilinear_lattice(values, frames[k, 0], frames[k, 1], place, place_east, difference[k : k + 1])
             for j in range(q):
                 line[j] = value - line[j]
-                known = line[j] == line[j]
-                weight[j] += w if known else 0.0
-                valid[i, j] += 1.0 / n if known else 0.0
-                centre[j] += w * line[j] if known else 0.0
+                known = 1.0 if line[j] == line[j] else 0.0
+                weight[j] += w * known
+                count[j] += known
         if remove_mean:
+            for k in range(n):
+                line, w = difference[k], readings[k, 1]
+                for j in range(q):
+                    centre[j] += w * line[j] if line[j] == line[j] else 0.0
             centre /= weight
-        else:
-            centre[:] = 0.0
         for k in range(n):
             line, w = difference[k], readings[k, 1]
             for j in range(q):
                 d = line[j] - centre[j]
                 cost = w * (abs(d) if absolute else d * d)
                 total[j] += cost if d == d else 0.0
-        score[i] = total / weight
+        for j in range(q):
+            total[j] /= weight[j]
+            count[j] /= n
