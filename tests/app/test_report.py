@@ -105,6 +105,22 @@ def test_table(outcome: Outcome) -> None:
     assert dict(tables.rows(blind))["pointmass"][1] == "49 m"
 
 
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_terminal_table_never_breaks_a_figure(width: int, outcome: Outcome) -> None:
+    from rich.console import Console
+
+    console = Console(file=io.StringIO(), width=width)
+    console.print(tables.rich_table(outcome, width))
+    assert isinstance(console.file, io.StringIO)
+    lines = [line for line in console.file.getvalue().splitlines() if line.strip()]
+    assert all(len(line.rstrip()) <= width for line in lines)
+    assert len([line for line in lines if "pointmass" in line]) == 1
+    assert lines[-1].lstrip().startswith("pointmass")
+    heads = " ".join(lines[:-3])
+    assert ("max" in heads) == (width > 80)
+    assert "R95" in heads
+
+
 def test_json_is_strict() -> None:
     text = as_json({"a": math.nan, "b": np.float64("inf"), "c": np.arange(2), "d": (1, None, True), "e": np.float32(2)})
     assert "NaN" not in text

@@ -10,6 +10,7 @@ import contextlib
 import json
 import math
 import os
+import shutil
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
@@ -33,11 +34,16 @@ def complain(text: object, level: str = "error") -> None:
     sys.stderr.write(f"terranav: {level}: {one_line(text)}\n")
 
 
+def width() -> int:
+    """Columns of the terminal; wide enough for every table where stdout is none."""
+    return shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 120
+
+
 def show(*parts: RenderableType) -> None:
     """Print tables and text to stdout, in colour only on a terminal."""
     from rich.console import Console
 
-    console = Console(file=sys.stdout, soft_wrap=False, width=None if sys.stdout.isatty() else 120, highlight=False)
+    console = Console(file=sys.stdout, width=width(), highlight=False)
     for part in parts:
         console.print(part)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from terranav.app.console import INCOMPLETE, OK, as_json, complain, show, show_json, show_pairs
+from terranav.app.console import INCOMPLETE, OK, as_json, complain, show, show_json, show_pairs, width
 from terranav.app.outcome import BASELINE, Outcome
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def conclude(outcome: Outcome, wanted: Wanted) -> int:
         show_json(summary)
         return status
     show_pairs(facts(outcome))
-    show(rich_table(outcome), Text(verdict(outcome), style="bold"))
+    show(rich_table(outcome, width()), Text(verdict(outcome), style="bold"))
     if wanted.out is not None and status == OK:
         show(Text(f"report: {wanted.out / 'report.html'}"))
     return status

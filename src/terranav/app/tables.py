@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -77,6 +77,9 @@ WITHOUT_TRUTH = (
     *_FIX,
 )  # fmt: skip
 
+_EXPENDABLE = ("max", "CEP", "final", "lost", "NEES")
+_GAP = 3  # between two columns of the terminal's table
+
 
 def columns(outcome: Outcome) -> tuple[Column, ...]:
     """The columns that make sense for a recording."""
@@ -111,15 +114,29 @@ def facts(outcome: Outcome) -> list[tuple[str, str]]:
     ]
 
 
-def rich_table(outcome: Outcome) -> RichTable:
-    """The table for the terminal."""
+def rich_table(outcome: Outcome, width: int = 120) -> RichTable:
+    """The table for a terminal of so many columns; on a narrow one the least telling figures are left out."""
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
-    table.add_column("estimator", no_wrap=True)
-    for column in columns(outcome):
-        table.add_column(column.head, justify="right")
-    for name, texts in rows(outcome):
-        table.add_row(name, *texts, style="bold" if name == outcome.main else None)
+    found = rows(outcome)
+    texts = dict(zip([column.head for column in columns(outcome)], zip(*[texts for _, texts in found])))
+    room = width - max(len(name) for name in ("estimator", *outcome.results)) - 2
+
+    def needed(heads: Iterable[str]) -> int:
+        return sum(max(map(len, (*head.split("\n"), *texts[head.replace("\n", " ")]))) + _GAP for head in heads)
+
+    heads = list(texts)
+    if needed(heads) > room:
+        heads = [head.replace(" ", "\n", 1) for head in heads]
+    for head in _EXPENDABLE:
+        if needed(heads) > room and head in heads:
+            heads.remove(head)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, _GAP // 2))
+    table.add_column("estimator", no_wrap=True, vertical="bottom")
+    for head in heads:
+        table.add_column(head, justify="right", vertical="bottom", no_wrap=True)
+    for i, (name, _) in enumerate(found):
+        cells = [texts[head.replace("\n", " ")][i] for head in heads]
+        table.add_row(name, *cells, style="bold" if name == outcome.main else None)
     return table
