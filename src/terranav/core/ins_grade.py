@@ -107,6 +107,6 @@ class InsGrade:
         start, middle = (self.velocity_sigma_at_mps(part * elapsed_s) for part in (0.0, 0.5))
         since = elapsed_s * (start + 4.0 * middle + speed) / (6.0 * speed)  # of a drift at this speed: Simpson's rule
         if math.isfinite(variance_m2):
-            root = math.sqrt(walk2 * walk2 + 4.0 * speed * speed * variance_m2)
-            since = min(since, 2.0 * variance_m2 / (walk2 + root))
+            spread = walk2 + math.sqrt(walk2 * walk2 + 4.0 * speed * speed * variance_m2)
+            since = min(since, 2.0 * variance_m2 / spread) if spread > 0.0 else 0.0
         return walk2 * dt_s + speed * speed * (2.0 * since + dt_s) * dt_s
