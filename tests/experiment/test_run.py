@@ -135,7 +135,7 @@ class Nearest:
 @pytest.mark.parametrize(
     ("estimator", "settings", "message"),
     [
-        ("pointmas", {}, r"unknown estimator 'pointmas' \(did you mean 'pointmass'\?\); known: ins, pointmass"),
+        ("pointmas", {}, r"unknown estimator 'pointmas' \(did you mean 'pointmass'\?\); known: .*ins, .*pointmass"),
         ("windowed", {}, "unknown estimator 'windowed'"),
         ("_peaks", {}, "unknown estimator '_peaks'"),
         ("pointmass", {"max_cell": 5}, r"unknown setting of 'pointmass' 'max_cell' \(did you mean 'max_cells'\?\)"),
@@ -205,6 +205,19 @@ def test_a_part_of_the_track_off_the_map_is_a_warning() -> None:
         result = run("pointmass", flight(), [half])
     assert result.provenance["assumed"] == [str(caught[0].message)]
     assert caught[0].filename == __file__
+
+
+@pytest.mark.parametrize(("map_scale", "reading_scale"), [(1 / 0.3048, 1.0), (1.0, 1 / 0.3048)])
+def test_feet_taken_for_metres_are_doubted(map_scale: float, reading_scale: float) -> None:
+    """A map (or readings) in feet that nobody says is in feet."""
+    raised = replace(chart(), values=(chart().values + 400.0) * np.float32(map_scale), name="raised")
+    rec = flight().with_columns(terrain_m=(flight().columns["terrain_m"] + 400.0) * reading_scale)
+    with pytest.warns(
+        DataWarning, match=r"median terrain reading is \d+ m where raised has \d+ m; is the unit of .* feet"
+    ):
+        run("pointmass", rec, [raised])
+    straight = replace(raised, values=chart().values + np.float32(400.0))
+    run("pointmass", flight().with_columns(terrain_m=flight().columns["terrain_m"] + 400.0), [straight])
 
 
 def test_what_is_assumed_is_said() -> None:

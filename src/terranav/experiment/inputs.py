@@ -16,6 +16,8 @@ from terranav.core.records import Epoch, Prior
 from terranav.maps.map import Map
 from terranav.sensors.ready import ready
 
+FEET_PER_METRE = 1.0 / 0.3048
+FEWEST_FOR_DOUBT = 10  # readings on the map before their level is compared with it
 #: directions in which the prior is probed for the map, in units of its sigma per axis
 _PROBES = 3.0 * np.array([(n, e) for n in (-1.0, 0.0, 1.0) for e in (-1.0, 0.0, 1.0)])
 
@@ -72,7 +74,7 @@ def prepare(
     Warns
     -----
     DataWarning
-        A grade or a sigma is assumed, or the map covers a part of the track only.
+        A grade or a sigma is assumed, the map covers a part of the track only, or its values look like feet.
     """
     charts = (maps,) if isinstance(maps, Map) else tuple(maps)
     for chart in charts:
@@ -93,6 +95,7 @@ def prepare(
         _check_kinds(rec, charts, epochs)
         assumed += _assumed_sigmas(rec)
         assumed += _check_cover(rec, charts, prior)
+        assumed += [text for chart in charts for text in _doubts(rec, chart, epochs)]
     for text in assumed:
         warnings.warn(text, DataWarning, stacklevel=3)
     return Inputs(rec, charts, grade, prior, epochs, tuple(assumed))
@@ -137,6 +140,28 @@ def _check_cover(rec: Recording, maps: tuple[Map, ...], prior: Prior) -> list[st
     inside = np.any([chart.covers(rec.lat_deg, rec.lon_deg) for chart in maps], axis=0)
     share = float(np.mean(inside))
     return [] if share == 1.0 else [f"{rec.name}: the maps cover {100.0 * share:.1f} % of the indicated positions"]
+
+
+def _doubts(rec: Recording, chart: Map, epochs: tuple[Epoch, ...]) -> list[str]:
+    """One line when readings and map differ by the ratio of feet and metres, a wrong unit that no file states."""
+    if chart.unit != "m":
+        return []
+    pairs = [(e.lat_deg, e.lon_deg, m.value) for e in epochs for m in e.measurements if m.kind == chart.kind]
+    lat, lon, measured = np.array(pairs).reshape(-1, 3).T
+    mapped = chart.sample(lat, lon)
+    known = np.isfinite(mapped)
+    if known.sum() < FEWEST_FOR_DOUBT:
+        return []
+    here, there = float(np.median(measured[known])), float(np.median(mapped[known]))
+    for factor, what in ((FEET_PER_METRE, "the map"), (1.0 / FEET_PER_METRE, "the readings")):
+        spread = 3.0 * float(np.std(mapped[known])) / factor + 5.0 * chart.sigma
+        near, far = abs(here - there / factor), abs(here - there)
+        if near < 0.1 * abs(here) and far > spread:
+            return [
+                f"{rec.name}: the median {chart.kind} reading is {here:.0f} m where {chart.name} has {there:.0f} m; "
+                f"is the unit of {what} feet?"
+            ]
+    return []
 
 
 def _track_extent(rec: Recording) -> str:
