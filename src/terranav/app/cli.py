@@ -15,6 +15,7 @@ from terranav.app.commands.compare import compare
 from terranav.app.commands.convert import convert
 from terranav.app.commands.demo import demo
 from terranav.app.commands.estimators import estimators
+from terranav.app.commands.reproduce import reproduce
 from terranav.app.commands.run import run
 from terranav.app.commands.simulate import simulate
 from terranav.app.console import INCOMPLETE, OK, STOPPED, WRONG, complain, data_warnings, silence_broken_pipe
@@ -33,6 +34,7 @@ app = typer.Typer(
 for command in (demo, run, compare, simulate, convert):
     app.command()(command)
 app.add_typer(maps.app, name="map")
+app.command()(reproduce)
 app.command()(estimators)
 
 
