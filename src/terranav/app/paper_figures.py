@@ -11,6 +11,8 @@ from itertools import zip_longest
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from terranav.app.style import INS, MAIN, OTHERS, new_figure, styled
@@ -22,6 +24,7 @@ _COLOURS = (MAIN, INS, *OTHERS)
 _DASHES = ("solid", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
 _MANY = 400  # points of a cloud that are drawn small
 _MARKERS = "os^Dv"
+_HEIGHT_IN, _SQUARE_IN = 4.6, 7.0
 
 
 def draw(figure: Figure) -> Drawing:
@@ -38,15 +41,20 @@ def draw(figure: Figure) -> Drawing:
     """
     kinds = {"lines": _lines, "points": _points, "bars": _bars}
     with styled():
-        drawing = new_figure(4.6)
+        drawing = new_figure(_HEIGHT_IN)
         axes = drawing.subplots()
         shown = [series for series in figure.series if np.isfinite(series.y).any()]
         kinds[figure.kind](axes, [_positive(series) for series in shown] if figure.log_y else shown)
         if figure.log_y and shown:
             axes.set_yscale("log")
+            _plain_ticks(axes)
         if not shown:
             axes.text(0.5, 0.5, "nothing to draw: no finite value", ha="center", transform=axes.transAxes)
         axes.set(xlabel=figure.x_label, ylabel=figure.y_label)
+        axes.set_axisbelow(True)
+        if figure.kind == "points" and _same_scale(axes, figure):
+            drawing.set_figheight(_SQUARE_IN)
+            axes.set_aspect("equal", adjustable="datalim")
         if len(shown) > 1 or any(series.label for series in shown):
             _legend(drawing, axes)
     return drawing
@@ -120,9 +128,29 @@ def _bars(axes: Axes, all_series: Sequence[Series]) -> None:
     axes.grid(visible=False, axis="x")
 
 
+def _plain_ticks(axes: Axes) -> None:
+    """Numbers such as 20 and 0.5 instead of powers of ten, between them only where there is room."""
+    low, high = axes.get_ylim()
+    crowded = high > 30.0 * low
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+    axes.yaxis.set_minor_formatter(
+        FuncFormatter(lambda y, _: "" if crowded or f"{y:.0e}"[0] not in "235" else f"{y:g}")
+    )
+
+
+def _same_scale(axes: Axes, figure: Figure) -> bool:
+    """Whether both axes are lengths in one unit and of one size, such as north against east error."""
+    units = [label[label.rfind("[") :] for label in (figure.x_label, figure.y_label) if "[" in label]
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    return len(units) == 2 and units[0] == units[1] and 1 / 3 < (right - left) / (high - low) < 3
+
+
 def _legend(drawing: Drawing, axes: Axes) -> None:
     """The labels above the picture, where they hide nothing, in as many columns as fit."""
     handles, labels = axes.get_legend_handles_labels()
     longest = max(map(len, labels))
     columns = max(1, min(len(labels), 118 // (longest + 7)))
-    drawing.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=9.5, markerscale=1.6)
+    legend = drawing.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=9.5)
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D):
+            handle.set(alpha=1.0, markersize=6.0)
