@@ -1,0 +1,176 @@
+"""The fading-memory recursion over a lattice of INS errors, and the posterior that its surface means."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from terranav.kernels.jit import jit
+from terranav.kernels.sampling import bilinear_lattice
+
+FINEST = 16  # parts per axis into which a cell is cut at most
+MOST_PARTS = 400_000  # of all cells that are cut
+
+
+@jit
+def recall(values, frame, lattice, reading, alpha, before, after):
+    """One reading into the surface: after = alpha * before + weight * (value - map)^2.
+
+    A cell whose place has no map value only fades.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32, NaN where void
+    frame : (2, 6) float64
+        Row and column coefficients of the LocalFrame at the indicated position.
+    lattice : (north (p,), east (q,)) float64 [m]
+        Position errors; the true place lies at minus the error.
+    reading : (value, weight)
+    alpha : float
+    before, after : (p, q) float64, after is written
+
+    Returns
+    -------
+    int
+        Cells without a map value.
+    """
+    value, weight = reading
+    place_north, place_east = -lattice[0], -lattice[1]
+    field = np.empty((1, place_east.size))  # one row: it stays in the cache
+    unknown = 0
+    for i in range(place_north.size):
+        bilinear_lattice(values, frame[0], frame[1], place_north[i : i + 1], place_east, field)
+        line, old, new = field[0], before[i], after[i]
+        for j in range(line.size):
+            e = value - line[j]
+            known = e == e
+            new[j] = alpha * old[j] + (weight * e * e if known else 0.0)
+            unknown += 0 if known else 1
+    return unknown
+
+
+@jit
+def log_posterior(surface, cost, lattice, prior, out):
+    """Logarithm of the posterior, -cost * surface plus that of a Gaussian prior; where it is largest.
+
+    Parameters
+    ----------
+    surface : (p, q) float64, NaN where nothing is known
+    cost : float
+    lattice : (north (p,), east (q,)) float64 [m]
+    prior : (5,) float64
+        Mean north and east, and the precision's nn, ne, ee; a precision of zero is a flat prior.
+    out : (p, q) float64, written
+
+    Returns
+    -------
+    i, j : int
+        Row and column of the maximum, -1 where every cell is NaN.
+    """
+    north, east = lattice
+    best, row, col = -np.inf, -1, -1
+    for i in range(north.size):
+        n = north[i] - prior[0]
+        source, line = surface[i], out[i]
+        for j in range(east.size):
+            e = east[j] - prior[1]
+            line[j] = -cost * source[j] - 0.5 * (prior[2] * n * n + 2.0 * prior[3] * n * e + prior[4] * e * e)
+        for j in range(east.size):
+            if line[j] > best:
+                best, row, col = line[j], i, j
+    return row, col
+
+
+@jit
+def _quadratic(field, i, j):
+    """Slopes and second derivatives (n, e, nn, ne, ee) by 3 x 3 points [1/cell]; zero at the rim and beside NaN."""
+    rows, cols = field.shape
+    if i < 1 or j < 1 or i > rows - 2 or j > cols - 2:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    here = field[i, j]
+    n = 0.5 * (field[i + 1, j] - field[i - 1, j])
+    e = 0.5 * (field[i, j + 1] - field[i, j - 1])
+    nn = field[i + 1, j] - 2.0 * here + field[i - 1, j]
+    ee = field[i, j + 1] - 2.0 * here + field[i, j - 1]
+    ne = 0.25 * (field[i + 1, j + 1] - field[i + 1, j - 1] - field[i - 1, j + 1] + field[i - 1, j - 1])
+    total = n + e + nn + ne + ee
+    if total != total:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    return n, e, nn, ne, ee
+
+
+@jit
+def _vertex(field, i, j):
+    """Where the quadratic of a cell peaks within it, and how far that lies above its centre; else the centre."""
+    n, e, nn, ne, ee = _quadratic(field, i, j)
+    det = nn * ee - ne * ne
+    if det <= 0.0 or nn >= 0.0:
+        return 0.0, 0.0, 0.0
+    u, v = (ne * e - ee * n) / det, (ne * n - nn * e) / det
+    if abs(u) > 0.5 or abs(v) > 0.5:
+        return 0.0, 0.0, 0.0
+    return u, v, 0.5 * (u * n + v * e)
+
+
+@jit
+def moments(log_p, row, col, sub_cell, tail):
+    """The fix at a peak, and the second moments of the posterior about it [cells].
+
+    Within a cell the logarithm is the quadratic through 3 x 3 points, and cells are cut until the posterior is smooth
+    over the parts; without `sub_cell` a cell is its centre, and has the variance of its width.
+
+    Parameters
+    ----------
+    log_p : (p, q) float64, NaN where the posterior is zero
+    row, col : int
+        Of the peak.
+    sub_cell : bool
+    tail : float
+        Cells that lie this far below the peak do not count.
+
+    Returns
+    -------
+    (6,) float64
+        Fractional row and column of the fix; second moments nn, ne, ee about it; how far log_p rises above the peak's
+        cell.
+    """
+    rows, cols = log_p.shape
+    u0, v0, gain = _vertex(log_p, row, col) if sub_cell else (0.0, 0.0, 0.0)
+    top = log_p[row, col] + gain
+    floor = log_p[row, col] - 3.0 * tail - 4.0 * gain  # a narrow peak's neighbours share its flank from far below
+    count, sharpest = 0, 0.0
+    used = np.zeros((rows, cols), dtype=np.bool_)
+    for i in range(rows):
+        for j in range(cols):
+            p = log_p[i, j]
+            if not p > floor:
+                continue
+            n, e, nn, ne, ee = _quadratic(log_p, i, j) if sub_cell else (0.0, 0.0, 0.0, 0.0, 0.0)
+            rim = p + 0.5 * (abs(n) + abs(e)) + 0.125 * (abs(nn) + abs(ee)) + 0.25 * abs(ne)
+            if rim > top - tail:
+                used[i, j] = True
+                count += 1
+                if rim > top - 3.0:
+                    sharpest = max(sharpest, 0.5 * (-nn - ee + math.hypot(nn - ee, 2.0 * ne)))
+    cuts = min(max(math.ceil(0.8 * math.sqrt(sharpest)), 1), FINEST)
+    cuts = max(min(cuts, int(math.sqrt(MOST_PARTS / max(count, 1)))), 1)
+    mass, s_nn, s_ne, s_ee = 0.0, 0.0, 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            if not used[i, j]:
+                continue
+            n, e, nn, ne, ee = _quadratic(log_p, i, j) if sub_cell else (0.0, 0.0, 0.0, 0.0, 0.0)
+            for a in range(cuts):
+                u = (a + 0.5) / cuts - 0.5
+                for b in range(cuts):
+                    v = (b + 0.5) / cuts - 0.5
+                    p = log_p[i, j] - top + u * n + v * e + 0.5 * (u * u * nn + v * v * ee) + u * v * ne
+                    weight = math.exp(min(p, 0.0))
+                    dn, de = i + u - row - u0, j + v - col - v0
+                    mass += weight
+                    s_nn += weight * dn * dn
+                    s_ne += weight * dn * de
+                    s_ee += weight * de * de
+    within = 0.01 / (cuts * cuts) if sub_cell else 1.0 / 12.0  # all the mass in one part is not certainty
+    return np.array([row + u0, col + v0, s_nn / mass + within, s_ne / mass, s_ee / mass + within, gain])
