@@ -199,6 +199,10 @@ def test_weighing_equals_bayes_rule_and_voids_are_neutral() -> None:
     mean = (density * field)[solid].sum() / known
     spread = (density * (field - mean) ** 2)[solid].sum() / known
     assert nis == pytest.approx((mean - 1.5) ** 2 / (16.0 + spread))
+    plain = np.empty_like(density)
+    assert weigh.py_func(density, field, 1.5, 4.0, 0.6, 0.05, 10.0, plain)[0] == pytest.approx(known)
+    weigh(density, field, 1.5, 4.0, 0.6, 0.05, 10.0, out)
+    np.testing.assert_allclose(out, plain, rtol=1e-12)
 
 
 def test_moments_and_local_width_of_a_gaussian() -> None:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from terranav.kernels.fastmath import fast_exp
 from terranav.kernels.jit import jit
 from terranav.kernels.sampling import bicubic_at
 
@@ -58,57 +59,67 @@ def weigh(density, field, value, sigma, resolve, outlier_share, outlier_scale, o
     Cells where the map says nothing get the average likelihood of the others: a void neither attracts nor repels.
     """
     rows, cols = density.shape
-    known, mean, square = 0.0, 0.0, 0.0
+    variance, narrowest = sigma * sigma, resolve * resolve
+    wide2, wide_share = -0.5 / (outlier_scale * outlier_scale), outlier_share / outlier_scale
+    slope2, square = np.zeros(cols), np.zeros(cols)
+    known, mean, spread, total, slope_sum = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(rows):
+        line, prior, target = field[i], density[i], out[i]
+        _slope2(line, field[max(i - 1, 0)], field[min(i + 1, rows - 1)], slope2)
         for j in range(cols):
-            h = field[i, j]
-            if h == h:
-                p = density[i, j]
-                known += p
-                mean += p * (h - value)
-                square += p * (h - value) * (h - value)
+            d = line[j] - value
+            d = d if d == d else 0.0
+            s2 = max(variance, narrowest * slope2[j])
+            square[j] = d * d / s2
+            target[j] = prior[j] / math.sqrt(s2)
+        if outlier_share > 0.0:
+            for j in range(cols):
+                r2 = square[j]
+                target[j] *= (1.0 - outlier_share) * fast_exp(-0.5 * r2) + wide_share * fast_exp(wide2 * r2)
+        else:
+            for j in range(cols):
+                target[j] *= fast_exp(-0.5 * square[j])
+        for j in range(cols):
+            d = line[j] - value
+            solid = d == d
+            p = prior[j] if solid else 0.0
+            d = d if solid else 0.0
+            q = target[j] if solid else 0.0
+            known += p
+            mean += p * d
+            spread += p * d * d
+            total += q
+            slope_sum += q * slope2[j]
     if known <= 0.0:
         out[:] = density
         return 0.0, np.nan, 0.0
     mean /= known
-    spread = max(square / known - mean * mean, 0.0)
-    variance = sigma * sigma
-    nis = mean * mean / (variance + spread)
-
-    total, slope_sum = 0.0, 0.0
-    for i in range(rows):
-        above, below = min(i + 1, rows - 1), max(i - 1, 0)
-        for j in range(cols):
-            h = field[i, j]
-            if h != h:
-                continue
-            east = field[i, min(j + 1, cols - 1)] - field[i, max(j - 1, 0)]
-            north = field[above, j] - field[below, j]
-            slope2 = 0.0  # squared change of the field over one cell
-            if east == east:
-                slope2 += 0.25 * east * east
-            if north == north:
-                slope2 += 0.25 * north * north
-            s2 = max(variance, resolve * resolve * slope2)
-            r2 = (h - value) * (h - value) / s2
-            like = (1.0 - outlier_share) * math.exp(-0.5 * r2)
-            if outlier_share > 0.0:
-                like += outlier_share / outlier_scale * math.exp(-0.5 * r2 / (outlier_scale * outlier_scale))
-            p = density[i, j] * like / math.sqrt(s2)
-            out[i, j] = p
-            total += p
-            slope_sum += p * slope2
+    nis = mean * mean / (variance + max(spread / known - mean * mean, 0.0))
     if total <= 1e-290:  # the reading contradicts every cell: it says nothing about which one is right
         out[:] = density
         return known, nis, 0.0
-    average = total / known
-    norm = 1.0 / (total + average * (1.0 - known))
+    void = total / known
+    norm = 1.0 / (total + void * max(1.0 - known, 0.0))
+    void *= norm
     for i in range(rows):
+        line, prior, target = field[i], density[i], out[i]
         for j in range(cols):
-            h = field[i, j]
-            p = (out[i, j] if h == h else density[i, j] * average) * norm
-            out[i, j] = p if p > FLOOR else 0.0
+            h = line[j]
+            p = norm * target[j] if h == h else void * prior[j]
+            target[j] = p if p > FLOOR else 0.0
     return known, nis, math.sqrt(slope_sum / total)
+
+
+@jit
+def _slope2(line, below, above, out):
+    """Squared change of a field over one cell, along a line and across it; a difference with a void counts as none."""
+    last = line.size - 1
+    for j in range(1, last):
+        east, north = 0.5 * (line[j + 1] - line[j - 1]), 0.5 * (above[j] - below[j])
+        out[j] = (east * east if east == east else 0.0) + (north * north if north == north else 0.0)
+    for j in (0, last):
+        east, north = 0.5 * (line[min(j + 1, last)] - line[max(j - 1, 0)]), 0.5 * (above[j] - below[j])
+        out[j] = (east * east if east == east else 0.0) + (north * north if north == north else 0.0)
 
 
 @jit

@@ -65,8 +65,24 @@ def bilinear(values, row, col, out):
     row, col : (n,) float64 [cells]
     out : (n,) float64, written
     """
+    rows, cols = values.shape
+    flat, width = values.reshape(values.size), np.int64(cols)
+    top, right = rows - 1.0, cols - 1.0
+    for k in range(out.size):  # no branch, so that it runs over vector registers
+        r, c = row[k], col[k]
+        inside = (r >= -SLACK) & (r <= top + SLACK) & (c >= -SLACK) & (c <= right + SLACK)
+        r, c = (r if r > 0.0 else 0.0), (c if c > 0.0 else 0.0)  # NaN becomes 0 too
+        r, c = min(r, top), min(c, right)
+        y, x = np.int64(min(r, top - 1.0)), np.int64(min(c, right - 1.0))
+        u, v = r - y, c - x
+        first = np.uint64(y * width + x)
+        second = first + np.uint64(width)
+        low = (1.0 - v) * flat[first] + v * flat[first + np.uint64(1)]
+        high = (1.0 - v) * flat[second] + v * flat[second + np.uint64(1)]
+        out[k] = (1.0 - u) * low + u * high if inside else np.nan
     for k in range(out.size):
-        out[k] = bilinear_at(values, row[k], col[k])
+        if np.isnan(out[k]):
+            out[k] = bilinear_at(values, row[k], col[k])
 
 
 @jit
@@ -124,6 +140,40 @@ def bicubic(values, row, col, out):
 
 
 @jit
+def _along_a_row(values, row, c0, c1, c2, east, blend, line):
+    """Line of a lattice on which the row does not change: the two rows around it are blended once."""
+    y = int(row)
+    u = row - y
+    low, high = values[y], values[y + 1]
+    ca, cb = c0 + east[0] * (c1 + east[0] * c2), c0 + east[-1] * (c1 + east[-1] * c2)
+    bend = 0.25 * abs(c2) * (east[-1] - east[0]) ** 2
+    for x in range(max(int(min(ca, cb) - bend), 0), min(int(max(ca, cb) + bend) + 2, blend.size)):
+        blend[x] = (1.0 - u) * low[x] + u * high[x]
+    for j in range(east.size):
+        col = c0 + east[j] * (c1 + east[j] * c2)
+        x = np.int32(col)
+        v, k = col - x, np.uint32(x)  # an unsigned index needs no test for a negative one
+        line[j] = (1.0 - v) * blend[k] + v * blend[k + np.uint32(1)]
+
+
+@jit
+def _across_rows(values, r0, r1, r2, c0, c1, c2, east, line):
+    """Line of a lattice that is oblique to the rows of the map."""
+    cols = np.int64(values.shape[1])
+    flat = values.reshape(values.size)
+    for j in range(east.size):
+        e = east[j]
+        row, col = r0 + e * (r1 + e * r2), c0 + e * (c1 + e * c2)
+        y, x = np.int64(row), np.int64(col)
+        u, v = row - y, col - x
+        k = np.uint64(y * cols + x)
+        below = k + np.uint64(cols)
+        low = (1.0 - v) * flat[k] + v * flat[k + np.uint64(1)]
+        high = (1.0 - v) * flat[below] + v * flat[below + np.uint64(1)]
+        line[j] = (1.0 - u) * low + u * high
+
+
+@jit
 def bilinear_lattice(values, row6, col6, north, east, out):
     """Bilinear values on the lattice of places north[i], east[j] metres from the origin of a local frame.
 
@@ -133,11 +183,13 @@ def bilinear_lattice(values, row6, col6, north, east, out):
     row6, col6 : (6,) float64
         Coefficients of [1, n, e, n^2, n e, e^2] that give the fractional row and column [cells], as in LocalFrame.
     north : (p,) float64 [m]
-    east : (q,) float64 [m]
+    east : (q,) float64, monotonic [m]
     out : (p, q) float64, written
     """
     rows, cols = values.shape
-    reach = east.max() - east.min()
+    first, last = east.min(), east.max()
+    reach = last - first
+    blend = np.empty(cols)
     row_bend, col_bend = 0.25 * abs(row6[5]) * reach * reach, 0.25 * abs(col6[5]) * reach * reach
     for i in range(north.size):
         n = north[i]
@@ -145,7 +197,6 @@ def bilinear_lattice(values, row6, col6, north, east, out):
         c0, c1, c2 = col6[0] + n * (col6[1] + n * col6[3]), col6[2] + n * col6[4], col6[5]
         line = out[i]
         # a parabola leaves its chord by at most a quarter of its bend: one test admits the whole line
-        first, last = east.min(), east.max()
         ra, rb = r0 + first * (r1 + first * r2), r0 + last * (r1 + last * r2)
         ca, cb = c0 + first * (c1 + first * c2), c0 + last * (c1 + last * c2)
         if (
@@ -154,14 +205,10 @@ def bilinear_lattice(values, row6, col6, north, east, out):
             and min(ca, cb) - col_bend >= 0.0
             and max(ca, cb) + col_bend < cols - 1.0
         ):
-            for j in range(east.size):
-                e = east[j]
-                row, col = r0 + e * (r1 + e * r2), c0 + e * (c1 + e * c2)
-                y, x = int(row), int(col)
-                u, v = row - y, col - x
-                low = (1.0 - v) * values[y, x] + v * values[y, x + 1]
-                high = (1.0 - v) * values[y + 1, x] + v * values[y + 1, x + 1]
-                line[j] = (1.0 - u) * low + u * high
+            if r1 == 0.0 and r2 == 0.0:
+                _along_a_row(values, r0, c0, c1, c2, east, blend, line)
+            else:
+                _across_rows(values, r0, r1, r2, c0, c1, c2, east, line)
             for j in range(east.size):
                 if np.isnan(line[j]):
                     e = east[j]
