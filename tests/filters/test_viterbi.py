@@ -78,7 +78,7 @@ def log_b(noise: str, v: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("p", [0.05, 0.6, 0.95])
 def test_it_is_the_dense_hidden_markov_model(noise: str, p: float) -> None:
     """Path, score and posterior of a brute-force search over all N x N transitions."""
-    walk = np.cumsum(np.random.default_rng(3).normal(0.0, 9.0, (14, 2)), axis=0) + [60.0, -80.0]
+    walk = np.cumsum(np.random.default_rng(3).normal(0.0, 9.0, (14, 2)), axis=0) + np.array([60.0, -80.0])
     epochs = flight(hills(), walk)
     filter_ = Viterbi((hills(),), SLOW, cell_m=40.0, stay=p, noise=noise, cell_noise=False)
     state = run(filter_, epochs, FLAT_START)

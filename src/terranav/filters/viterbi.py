@@ -87,12 +87,12 @@ class ViterbiState:
     @property
     def north_m(self) -> FloatArray:
         """(rows,) errors north [m]."""
-        return self.prior.mean_m[0] + self.cell_m * np.arange(self.south, self.south + self.score.shape[0])
+        return float(self.prior.mean_m[0]) + self.cell_m * (self.south + np.arange(self.score.shape[0], dtype=float))
 
     @property
     def east_m(self) -> FloatArray:
         """(cols,) errors east [m]."""
-        return self.prior.mean_m[1] + self.cell_m * np.arange(self.west, self.west + self.score.shape[1])
+        return float(self.prior.mean_m[1]) + self.cell_m * (self.west + np.arange(self.score.shape[1], dtype=float))
 
 
 @dataclass(frozen=True)
@@ -354,7 +354,8 @@ class Viterbi:
             probability=probability / probability.sum(),
             log_best=state.log_best + best,
         )
-        return state_now, known, _innovation2(state.probability, field, on_map, known, reading.value, sigma)
+        innovation2 = _innovation2(state.probability[on_map] / known, field[on_map], reading.value, sigma)
+        return state_now, known, innovation2
 
 
 def _transition(
@@ -370,12 +371,8 @@ def _transition(
     return scores, probabilities
 
 
-def _innovation2(
-    probability: FloatArray, field: FloatArray, on_map: NDArray[np.bool_], known: float, value: float, sigma: float
-) -> float:
+def _innovation2(share: FloatArray, height: FloatArray, value: float, sigma: float) -> float:
     """Squared innovation of a reading over its variance as the forward recursion predicts it."""
-    share = probability[on_map] / known
-    height = field[on_map]
     mean = float(share @ height)
     return (value - mean) ** 2 / (sigma**2 + float(share @ (height - mean) ** 2))
 
@@ -384,7 +381,7 @@ def _measured(state: ViterbiState) -> ViterbiState:
     """The state with its estimate and covariance read off the grid."""
     north, east = state.north_m, state.east_m
     best = np.argwhere(state.score >= state.score.max())
-    at = best + [state.south, state.west]
+    at = best + np.array([state.south, state.west])
     row, col = best[int(np.argmin((at**2).sum(axis=1)))].tolist()
     estimate = np.array([north[row], east[col]])
     rows, cols = state.probability.sum(axis=1), state.probability.sum(axis=0)

@@ -1,8 +1,8 @@
 """One step of a hidden Markov model on a still grid whose cells move to their eight neighbours (papers/000).
 
-Arrays are (rows north, cols east). Scores are logarithms; minus infinity is "no path". The 3 x 3 neighbours are numbered
-row by row from the south-west, so that number 4 is the cell itself and k stands for the step (k // 3 - 1, k % 3 - 1) back
-to where the path came from.
+Arrays are (rows north, cols east). Scores are logarithms; minus infinity is "no path". The 3 x 3 neighbours are
+numbered row by row from the south-west, so that number 4 is the cell itself and k stands for the step
+(k // 3 - 1, k % 3 - 1) back to where the path came from.
 """
 
 from __future__ import annotations
