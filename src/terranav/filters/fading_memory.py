@@ -360,7 +360,7 @@ class FadingMemory:
         return replace(state, mean_m=state.fix_m, cov_m2=state.fix_cov_m2 + np.diag(growth))
 
     def _followed(self, state: FadingMemoryState) -> FadingMemoryState:
-        """The grid moved with a good fix that leaves its middle half, or widened with a prior that has outgrown it."""
+        """The grid moved with a good fix that leaves its middle half, or widened with a prior that has no fix."""
         memory = state.memory
         assert state.fix_m is not None
         assert state.fix_cov_m2 is not None
@@ -372,6 +372,8 @@ class FadingMemory:
             if (np.abs(by) * memory.cell_m <= 0.5 * half).all():
                 return state
             return replace(state, memory=_reframed(memory, by, shape))
+        if state.judgement.fixed:  # one poor fix among good ones; a wrong one will be found lost
+            return state
         wanted = self._half_m(state.prior, state.gained_m2)
         size = 2 * np.ceil(wanted / memory.cell_m).astype(int) + 1
         if (wanted <= 1.2 * half).all() or state.prior.shape == "uniform" or size.prod() > self.max_cells:
