@@ -214,8 +214,9 @@ def value_kurtosis(values: FloatArray, cells: float) -> float:
     empty = max(cells - flat.size, 0.0)
     away = flat - flat.sum() / cells
     at_zero = -float(flat.sum()) / cells
-    square = float((away**2).sum()) + empty * at_zero**2
-    fourth = float((away**4).sum()) + empty * at_zero**4
+    away *= away
+    square = float(away.sum()) + empty * at_zero**2
+    fourth = float(away @ away) + empty * at_zero**4
     variance = square / max(cells - 1.0, 1.0)
     if variance <= 1e-18 * float(flat.max()) ** 2:
         return 1.0
