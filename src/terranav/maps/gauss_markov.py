@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from terranav.core.checks import finite
@@ -64,9 +64,9 @@ class GaussMarkov:
         finite("gauss_markov sigma", self.sigma, above=0.0)
         finite("gauss_markov omega", self.omega, above=0.0)
 
-    def autocorrelation(self, distance: FloatArray) -> FloatArray:
+    def autocorrelation(self, distance: ArrayLike) -> FloatArray:
         """R(d) of the module's docstring, of the shape of `distance` [m or s]; [unit^2]."""
-        phase = self.omega * np.abs(distance) / math.sqrt(2.0)
+        phase = self.omega * np.abs(np.asarray(distance, dtype=np.float64)) / math.sqrt(2.0)
         return np.asarray(self.sigma**2 * np.exp(-phase) * (np.cos(phase) + np.sin(phase)))
 
     def van_loan(self, step: float) -> tuple[FloatArray, FloatArray]:
