@@ -267,10 +267,10 @@ def _joint_claim(study: Study, in_map: Study) -> Claim:
     other = "; ".join(f"{case} {gain.text(2)} m, {_means(gain)}" for case, gain in others.items())
     nees = {case: float(np.mean([run.nees[TERRAIN] for run in in_map.runs[case]])) for case in ("A", "B")}
     why = (
-        f"With the noise as an error of the map's cells: {other}. A map's own error stays where it is, so it passes for "
+        f"With the noise as an error of the map's cells: {other}. A map's own error stays where it is and passes for "
         "relief, while the filter takes it for noise of the readings: with terrain alone the NEES, 2 when honest, is "
-        f"then {nees['A']:.1f} (A) and {nees['B']:.1f} (B). Where the land has hardly more relief than the map has "
-        "error (B: 15 m and 10 m), the joint pays for that."
+        f"then {nees['A']:.1f} (A) and {nees['B']:.1f} (B), and where the land has hardly more relief than the map has "
+        "error the joint pays for that."
     )
     text = "our rival: the joint likelihood is at most the best single map in both cases (paired)"
     return Claim(text, "not in the paper", ours, verdict, why)

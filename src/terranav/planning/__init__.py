@@ -1,0 +1,1 @@
+"""Where a fix is possible, and what lies ahead."""
