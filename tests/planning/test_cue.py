@@ -57,7 +57,7 @@ def test_flat_land_below_is_clear() -> None:
 @pytest.mark.parametrize("speed_mps", [40.0, 100.0, 230.0])
 def test_time_to_a_wall_is_exact(speed_mps: float) -> None:
     """The ramp rises 800 m over one cell beyond 3 km; at 500 m altitude the margin is broken at 400 m of ground."""
-    found = cue(at_centre(), (speed_mps, 0.0, 0.0), wall(), replace(EXACT, lookahead_s=90.0))
+    found = cue(at_centre(), (speed_mps, 0.0, 0.0), wall(), replace(EXACT, lookahead_s=6000.0 / speed_mps))
     distance_m = 3000.0 + CELL_M * (400.0 - 100.0) / 800.0
     assert found.state is CueState.WARNING
     assert found.time_to_s == pytest.approx(distance_m / speed_mps, abs=2e-3)

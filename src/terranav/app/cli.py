@@ -13,6 +13,7 @@ import typer.main
 from terranav.app.commands import maps
 from terranav.app.commands.compare import compare
 from terranav.app.commands.convert import convert
+from terranav.app.commands.cue import cue
 from terranav.app.commands.demo import demo
 from terranav.app.commands.estimators import estimators
 from terranav.app.commands.reproduce import reproduce
@@ -31,7 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, compare, simulate, convert):
+for command in (demo, run, compare, simulate, convert, cue):
     app.command()(command)
 app.add_typer(maps.app, name="map")
 app.command()(reproduce)
