@@ -24,19 +24,19 @@ def test_converges_to_the_kalman_filter_on_a_plane_as_one_over_root_n() -> None:
     epochs = flight(chart, np.array([150.0, -220.0]), 12, 8.0, np.random.default_rng(1))
     mean, cov = kalman(chart, slope, epochs, prior)
     whiten = np.linalg.inv(np.linalg.cholesky(cov))
-    sizes, rms, spread = (400, 1600, 6400, 25_600), [], []
+    sizes, rms, spread = (400, 1600, 6400), [], []
     for count in sizes:
         filter_ = Particle((chart,), INS, particles=count, outlier_share=0.0)
         misses = []
-        for seed in range(30):
+        for seed in range(16):
             *_, state = states(filter_, prior, epochs, np.random.default_rng(seed))
             misses.append(whiten @ (state.mean_m - mean))
             spread.append(np.trace(whiten @ state.cov_m2 @ whiten.T) / 2.0)
         rms.append(float(np.sqrt(np.mean(np.square(misses)))))
     rate = np.polyfit(np.log(sizes), np.log(rms), 1)[0]
     assert -0.75 < rate < -0.35  # 1/sqrt(N) is -0.5; the ordered, moment-matched draws may do a little better
-    assert rms[-1] < 0.03
-    assert np.mean(spread[-30:]) == pytest.approx(1.0, abs=0.03)
+    assert rms[-1] < 0.06
+    assert np.mean(spread[-16:]) == pytest.approx(1.0, abs=0.03)
 
 
 def test_weights_equal_bayes_rule_and_voids_are_neutral() -> None:
