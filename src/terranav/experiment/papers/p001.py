@@ -216,8 +216,8 @@ def rivals_claim(results: Sequence[Outcomes], cases: Sequence[Case]) -> list[Cla
         f"rms position error less that of bayes_grid with the noise of eq. 7 [m]; of {len(ahead)} comparisons the "
         f"rival is better in {better} and worse in {worse}, the rest undecided. The readings are nearly linear "
         "over 10 m of a field that is correlated over 100 m, so that the Kalman filters lose little; the grid as "
-        "printed loses by its hard band, which leaves the truth out in 32 % of the readings and which 25 I softens only "
-        "where it is steep, and by taking the peak instead of the mean"
+        "printed loses by its hard band, which leaves the truth out in 32 % of the readings and which 25 I softens "
+        "on steep ground only, and by taking the peak instead of the mean"
     )
     return [Claim("EKF, UKF, particle (and point-mass) filters can do better", "future work", "; ".join(told),
                   verdict, why)]  # fmt: skip
