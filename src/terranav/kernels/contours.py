@@ -29,9 +29,15 @@ def _to_segment(ar, ac, br, bc, metric):
 
 
 @jit
-def _fraction(start, end, level):
-    """Where between two corners the level is crossed, 0 where it is not."""
-    return (level - start) / (end - start) if (start > level) != (end > level) else 0.0
+def _on_side(side, z0, z1, z2, z3, level):
+    """Where the level crosses a side of a square: 0 first row, 1 last column, 2 last row, 3 first column."""
+    if side == 0:
+        return 0.0, (level - z0) / (z1 - z0)
+    if side == 1:
+        return (level - z1) / (z3 - z1), 1.0
+    if side == 2:
+        return 1.0, (level - z2) / (z3 - z2)
+    return (level - z0) / (z2 - z0), 0.0
 
 
 @jit
@@ -82,7 +88,6 @@ def nearest_on_contour(values, row, col, level, metric, reach_m):
     i0, j0 = math.floor(row), math.floor(col)
     u, v = row - i0, col - j0
     margin = min(u, 1.0 - u, v, 1.0 - v)
-    at_row, at_col = np.empty(4), np.empty(4)  # where the level crosses the four sides
     for ring in range(int(reach_m / narrow) + 2):
         away = narrow * (ring - 1 + margin)
         if ring > 0 and away * away >= best:
@@ -99,15 +104,12 @@ def nearest_on_contour(values, row, col, level, metric, reach_m):
                 if above % 4 == 0 or np.isnan(z0 + z1 + z2 + z3):
                     continue
                 p, q = i - row, j - col
-                # sides: 0 first row, 1 last column, 2 last row, 3 first column
-                at_row[0], at_col[0] = p, q + _fraction(z0, z1, level)
-                at_row[1], at_col[1] = p + _fraction(z1, z3, level), q + 1.0
-                at_row[2], at_col[2] = p + 1.0, q + _fraction(z2, z3, level)
-                at_row[3], at_col[3] = p + _fraction(z0, z2, level), q
                 count, ends = _lines(z0 > level, z1 > level, z2 > level, z3 > level, z0 + z1 + z2 + z3 > 4.0 * level)
                 for k in range(count):
                     s, t = ends[k]
-                    d, r, w = _to_segment(at_row[s], at_col[s], at_row[t], at_col[t], metric)
+                    sr, sc = _on_side(s, z0, z1, z2, z3, level)
+                    tr, tc = _on_side(t, z0, z1, z2, z3, level)
+                    d, r, w = _to_segment(p + sr, q + sc, p + tr, q + tc, metric)
                     if d < best:
                         best, best_row, best_col = d, row + r, col + w
     if np.isnan(best_row):

@@ -156,22 +156,22 @@ def _valued(task: Task, frame: _Frame, points: FloatArray, score: FloatArray) ->
         score[kept, 0],
         score[kept, 1],
         misfit[kept],
-        np.array([_information(task, g, x) for g, x in zip(slope, points[kept], strict=True)]).reshape(-1, 2, 2),
+        _information(task, slope, points[kept]),
     )
 
 
 def _information(task: Task, slope: FloatArray, points: FloatArray) -> FloatArray:
-    """Information (2, 2) about the last point, its slopes (W, 2) being zero where there is no contour [1/m^2]."""
-    size = np.hypot(slope[:, 0], slope[:, 1])
-    used = size > 0.0
-    g, size, sigma = slope[used], size[used], task.sigma[used]
-    away = points[used] - points[-1]
-    turned = np.stack([-away[:, 1], away[:, 0]], axis=1)
-    j = np.stack([g[:, 0], g[:, 1], np.sum(g * away, axis=1), np.sum(g * turned, axis=1)], axis=1) / size[:, None]
-    scale = np.array([1.0, 1.0, 1e-3, 1e-3])  # metres and parts of a thousand, so that pinv sees like with like
-    j = j * scale
-    h = 2.0 * np.einsum("i,ij,ik->jk", size / (math.sqrt(2.0 * math.pi) * sigma), j, j)
-    info = h @ np.linalg.pinv(j.T @ j, rcond=1e-9, hermitian=True) @ h
-    info[2:, 2:] += np.eye(2) * (1e-3 / task.step_sigma) ** 2
-    reduced = info[:2, :2] - info[:2, 2:] @ np.linalg.solve(info[2:, 2:], info[2:, :2])
-    return np.asarray(0.5 * (reduced + reduced.T))
+    """Information (Q, 2, 2) about the last points of traces (Q, W, 2); slopes are zero where no contour is [1/m^2]."""
+    size = np.hypot(slope[..., 0], slope[..., 1])[..., None]
+    away = points - points[:, -1:]
+    turned = np.stack([-away[..., 1], away[..., 0]], axis=-1)
+    along = [np.sum(slope * part, axis=-1) for part in (away, turned)]
+    # metres and parts of a thousand, so that pinv sees like with like
+    j = np.stack([slope[..., 0], slope[..., 1], 1e-3 * along[0], 1e-3 * along[1]], axis=-1)
+    j = np.divide(j, size, out=np.zeros_like(j), where=size > 0.0)
+    density = size / (math.sqrt(2.0 * math.pi) * task.sigma[:, None])
+    h = 2.0 * j.transpose(0, 2, 1) @ (density * j)
+    info = h @ np.linalg.pinv(j.transpose(0, 2, 1) @ j, rcond=1e-9, hermitian=True) @ h
+    info[:, 2:, 2:] += np.eye(2) * (1e-3 / task.step_sigma) ** 2
+    reduced = info[:, :2, :2] - info[:, :2, 2:] @ np.linalg.solve(info[:, 2:, 2:], info[:, 2:, :2])
+    return np.asarray(0.5 * (reduced + reduced.transpose(0, 2, 1)))

@@ -141,7 +141,8 @@ class Iccp:
     feedback : bool
         Whether the search is centred on the belief, or always on the initial prior.
     fuse : bool
-        Whether an accepted match is fused with the belief, or replaces it as in the paper.
+        Whether an accepted match is fused with the belief unless its residuals are those of a lost one, or replaces it
+        whatever its residuals, as in the paper.
     coarse_above_cells : float
         Where a sigma of the search is larger than so many map cells, TERCOM finds the places to start from (windows of
         four readings or more).
@@ -263,14 +264,15 @@ class Iccp:
         nis = float(np.nanmean(found.misfit[decision.chosen] ** 2))
         now = state.window[-1].time_s
         state = replace(state, memory=memory, matched_s=now, latest=Match(found, decision, weight))
-        if decision.accepted and not nis > self._limits.nis_lost:
+        if decision.accepted and not (self.fuse and nis > self._limits.nis_lost):
             mean = means[decision.chosen] if self.fuse else found.places_m[decision.chosen]
             off = means - mean
             cov = np.einsum("k,kij->ij", weight, covs) + np.einsum("k,ki,kj->ij", weight, off, off)
             walk = self.ins.position_walk_m_per_sqrt_s**2 * 0.5 * (now - state.window[0].time_s)
             state = replace(state, mean_m=mean, cov_m2=cov + walk * np.eye(2), fixed=True)
         state = replace(state, judgement=self._judged(state, nis, fresh, off_map))
-        return _started_over(state) if state.judgement.status is Status.LOST else state
+        lost = self.fuse and state.judgement.status is Status.LOST
+        return _started_over(state) if lost else state
 
     def _search(self, state: IccpState) -> Prior:
         """Where the match is looked for."""
