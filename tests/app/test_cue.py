@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from terranav.app.cli import main
-from terranav.core.recording import Recording
 from terranav.io.recordings import read_recording, write_recording
 from tests.app.conftest import Flight
 
@@ -104,8 +102,7 @@ def test_wrong_use_is_one_line(more: list[str], words: str, flight: Flight, caps
 
 
 def test_one_epoch_without_velocity(tmp_path: Path, flight: Flight, capsys: pytest.CaptureFixture[str]) -> None:
-    rec: Recording = read_recording(flight.recording)
+    rec = read_recording(flight.recording)
     write_recording(rec.between(0.0, 0.0), tmp_path / "one.csv")
     assert main(["cue", "--recording", str(tmp_path / "one.csv"), *flight.map_arguments]) == 2
     assert "expected a velocity or two epochs" in capsys.readouterr().err
-    assert math.isfinite(rec.time_s[0])
