@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import sys
 from collections.abc import Callable
@@ -12,11 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
+from rich.console import Console
 
 import terranav.experiment.papers as package
 from terranav.app import paper_figures, reproducing
 from terranav.app.cli import main
-from terranav.app.reproduction import Attempt, numeric_columns, summary
+from terranav.app.reproduction import Attempt, numeric_columns, print_parts, shown, summary
 from terranav.app.style import png
 from terranav.experiment.papers.outcome import Claim, Figure, Reproduction, Series, Setup, Table
 from terranav.io import rasters
@@ -327,6 +329,20 @@ def test_columns_of_figures_go_to_the_right() -> None:
     rows = (("1", "50.16", "–", "no"), ("2", "-3 (-4..-2)", "", "1"))
     assert numeric_columns(Table("", ("n", "a", "b", "c"), rows)) == [False, True, True, False]
     assert numeric_columns(Table("", ("n", "a"), ())) == [False, True]
+
+
+def test_tables_are_whole_in_a_file_and_lose_nothing_on_a_narrow_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    cells = tuple(f"{i}.123 (-0.{i}00..0.{i}99)" for i in range(8))
+    table = Table("T", ("map", *(f"column {i}" for i in range(8))), (("a field of [gravity]", *cells),))
+    attempt = Attempt("000", "", 1.0, Reproduction("000", "", "", 2, (table,), ()))
+    print_parts(*shown(attempt))
+    out = capsys.readouterr().out
+    assert all(cell in out for cell in (*cells, "a field of [gravity]"))
+    assert all(line == line.rstrip() for line in out.splitlines())
+    narrow = io.StringIO()
+    Console(file=narrow, width=70).print(*shown(attempt, 70))
+    assert "…" not in narrow.getvalue()
+    assert sum(narrow.getvalue().count(digit) for digit in "0123456789") == sum(map(out.count, "0123456789"))
 
 
 def test_summary_in_the_singular() -> None:

@@ -13,8 +13,17 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from terranav.app.console import INCOMPLETE, OK, as_json, complain, one_line, show, show_json
-from terranav.app.reproduction import Attempt, numeric_columns, shown, summary, told, verdict_table, verdicts
+from terranav.app.console import INCOMPLETE, OK, as_json, complain, one_line, show_json, width
+from terranav.app.reproduction import (
+    Attempt,
+    numeric_columns,
+    print_parts,
+    shown,
+    summary,
+    told,
+    verdict_table,
+    verdicts,
+)
 from terranav.app.words import duration
 from terranav.core.errors import ConfigError, DataError, TerranavError
 from terranav.experiment.papers.outcome import Setup
@@ -79,16 +88,16 @@ def conclude(task: Task) -> int:
         if task.out is not None and not keep(task, attempts, pictures, task.out):
             status = status or INCOMPLETE
         if not task.json:
-            show(*shown(attempt))
+            print_parts(*shown(attempt, width() if sys.stdout.isatty() else None))
             sys.stdout.flush()
     if task.json:
         show_json(document(task, attempts))
         return status
     if len(attempts) > 1:
-        show(verdict_table(attempts))
-    show(summary(attempts))
+        print_parts(verdict_table(attempts))
+    print_parts(summary(attempts))
     if task.out is not None:
-        show(f"summary: {task.out / PAGE}")
+        print_parts(f"summary: {task.out / PAGE}")
     return status
 
 
@@ -179,7 +188,7 @@ def facts(task: Task, attempts: Sequence[Attempt]) -> list[tuple[str, str]]:
     return [
         ("command", task.command),
         ("terranav", __version__),
-        ("runs", f"{task.setup.runs} of each case"),
+        ("--runs", str(task.setup.runs)),
         ("seed", str(task.setup.seed)),
         ("maps", maps),
         ("took", duration(sum(attempt.wall_s for attempt in attempts))),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from terranav.app.console import show, width
 from terranav.app.words import duration
 from terranav.experiment.papers.outcome import Claim, Reproduction, Table
 
@@ -17,6 +20,8 @@ if TYPE_CHECKING:
 #: what a claim's verdict, or a paper that could not be run, looks like on the terminal
 _STYLE = {"holds": "green", "holds in part": "yellow", "does not hold": "red", "failed": "bold red"}
 FAILED = "failed"
+_UNBOUNDED = 1000  # columns of a file
+_TEXT = 36  # columns of a terminal that a text in a table may take
 
 
 @dataclass(frozen=True)
@@ -98,8 +103,8 @@ def _verb(count: int) -> str:
     return "holds" if count == 1 else "hold"
 
 
-def shown(attempt: Attempt) -> list[RenderableType]:
-    """One paper's outcome for the terminal."""
+def shown(attempt: Attempt, columns: int | None = None) -> list[RenderableType]:
+    """One paper's outcome for a terminal of so many columns, or for a file, where a table is as wide as it needs."""
     from rich.text import Text
 
     head = Text(f"{attempt.paper}  {attempt.title}", style="bold")
@@ -107,8 +112,23 @@ def shown(attempt: Attempt) -> list[RenderableType]:
         return [head, Text(f"{attempt.effort()}: {attempt.error}", style=_STYLE[FAILED]), Text()]
     parts: list[RenderableType] = [head, Text(attempt.found.scenario), Text(attempt.effort(), style="dim"), Text()]
     for table in attempt.found.tables:
-        parts += [Text(table.title, style="bold"), _table(table)]
+        parts += [Text(table.title, style="bold"), _table(table, columns)]
     return [*parts, _claims(attempt.claims), Text()]
+
+
+def print_parts(*parts: RenderableType) -> None:
+    """Print to stdout: in colour and wrapped on a terminal, else plain, tables whole, no spaces at line ends."""
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    if sys.stdout.isatty():
+        show(*parts)
+        return
+    for part in parts:
+        wide = isinstance(part, RichTable) and part.box is not None
+        text = io.StringIO()
+        Console(file=text, width=_UNBOUNDED if wide else width(), highlight=False).print(part)
+        sys.stdout.write("".join(line.rstrip() + "\n" for line in text.getvalue().splitlines()))
 
 
 def verdict_table(attempts: Sequence[Attempt]) -> RichTable:
@@ -118,8 +138,8 @@ def verdict_table(attempts: Sequence[Attempt]) -> RichTable:
     from rich.text import Text
 
     table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
-    for name, ratio in (("paper", None), ("claim", 5), ("the paper says", 4), ("ours", 4)):
-        table.add_column(name, ratio=ratio)
+    for name, widest in (("paper", None), ("claim", 44), ("the paper says", 26), ("ours", 32)):
+        table.add_column(name, max_width=widest)
     table.add_column("verdict", no_wrap=True)
     for attempt in attempts:
         if attempt.found is None:
@@ -130,15 +150,23 @@ def verdict_table(attempts: Sequence[Attempt]) -> RichTable:
     return table
 
 
-def _table(table: Table) -> RichTable:
-    """A paper's table, the first column to the left and figures to the right."""
+def _table(table: Table, columns: int | None) -> RichTable:
+    """A paper's table, figures to the right and on one line, where there is room for that."""
     from rich import box
     from rich.table import Table as RichTable
     from rich.text import Text
 
+    texts = zip(*table.rows) if table.rows else [()] * len(table.columns)
+    longest = [max(map(len, cells), default=0) for cells in texts]
+    numeric = numeric_columns(table)
+    needed = sum((size if right else min(size, _TEXT)) + 3 for size, right in zip(longest, numeric))
+    fits = columns is None or needed <= columns
     out = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
-    for head, numeric in zip(table.columns, numeric_columns(table)):
-        out.add_column(Text(head), justify="right" if numeric else "left", vertical="bottom")
+    for head, size, right in zip(table.columns, longest, numeric):
+        whole = size if right and fits else None
+        widest = None if right or columns is not None else max(_TEXT, len(max(head.split(), key=len, default="")))
+        side: Literal["left", "right"] = "right" if right else "left"
+        out.add_column(Text(head), justify=side, overflow="fold", min_width=whole, max_width=widest)
     for row in table.rows:
         out.add_row(*[Text(text) for text in row])
     return out
