@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from numpy.random import SeedSequence
 import terranav as tn
 from terranav.core.errors import ConfigError, DataError
 from terranav.core.recording import Recording
-from terranav.experiment.montecarlo import Threads
+from terranav.experiment.montecarlo import Threads, bootstrap
 from terranav.experiment.papers import p002
 from terranav.experiment.papers._p002_cases import (
     GRAVITY,
@@ -59,6 +59,7 @@ def shortened(maps: Sequence[Map], seed: int) -> tuple[Case, Case]:
 @pytest.fixture(autouse=True)
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(p002, "cases", shortened)
+    monkeypatch.setattr(p002, "bootstrap", partial(bootstrap, draws=100))
 
 
 @cache
