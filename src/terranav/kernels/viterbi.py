@@ -59,7 +59,10 @@ def max_sum(padded, log_stay, log_move, out, pointer):
 
 @jit
 def spread(padded, stay, move, out):
-    """Probability of each cell after one step, sum_i P(i) a_ij; `padded` (rows + 2, cols + 2) has a frame of zeros."""
+    """Probability of each cell after one step, sum_i P(i) a_ij; `padded` (rows + 2, cols + 2) has a frame of zeros.
+
+    What is left of a difference of two equal sums, or is too small to be a normal number later, is zero.
+    """
     rows, cols = out.shape
     column = np.empty(cols + 2)
     for i in range(rows):
@@ -69,14 +72,13 @@ def spread(padded, stay, move, out):
         west, middle, east, centre = column[:cols], column[1 : 1 + cols], column[2 : 2 + cols], here[1 : 1 + cols]
         line = out[i]
         for j in range(cols):
-            line[j] = max(stay * centre[j] + move * (west[j] + middle[j] + east[j] - centre[j]), 0.0)
+            p = stay * centre[j] + move * (west[j] + middle[j] + east[j] - centre[j])
+            line[j] = p if p > 1e-290 else 0.0
 
 
 @jit
-def _log_erfc(z):
-    """Logarithm of erfc, also where erfc itself is below the smallest number."""
-    if z < _FAR:
-        return math.log(math.erfc(z))
+def _log_erfc_far(z):
+    """Logarithm of erfc for z >= _FAR, also where erfc itself is below the smallest number."""
     q = 0.5 / (z * z)
     series = 1.0 - q * (1.0 - 3.0 * q * (1.0 - 5.0 * q * (1.0 - 7.0 * q * (1.0 - 9.0 * q))))
     return -z * z + math.log(series / (z * math.sqrt(math.pi)))
@@ -98,10 +100,12 @@ def log_probability(v, sigma, half_width, noise, first, second):
         near, far = (r - half_width / sigma) * math.sqrt(0.5), (r + half_width / sigma) * math.sqrt(0.5)
         if near < 1.0:
             return math.log(0.5 * (math.erf(far) - math.erf(near)))
-        top = _log_erfc(near)
+        if near < _FAR:
+            return math.log(0.5 * (math.erfc(near) - math.erfc(far)))
+        top = _log_erfc_far(near) - math.log(2.0)
         if far * far - near * near > 40.0:  # the far end takes less than e^-40 of it
-            return top - math.log(2.0)
-        return top + math.log(-math.expm1(_log_erfc(far) - top)) - math.log(2.0)
+            return top
+        return top + math.log(-math.expm1(_log_erfc_far(far) - _log_erfc_far(near)))
     if noise == GAUSSIAN:
         return -0.5 * r * r - math.log(sigma)
     if noise == LAPLACE:
