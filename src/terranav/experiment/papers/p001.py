@@ -153,7 +153,7 @@ def band_claim(results: Sequence[Outcomes], cases: Sequence[Case], axis: str) ->
         "the paper shows one flight. Where only the nominal motion is known, the deviation itself is the error: 10 m "
         f"1-sigma, so that no aiding at all has {_percent(within(idle, axis))} % of its samples in the band; the "
         "printed recursion without process noise takes the error for constant and averages it, while with the noise of "
-        ff"eq. 7 {_percent(within(noisy, axis))} % are in it. Where the displacements are known the error is constant: "
+        f"eq. 7 {_percent(within(noisy, axis))} % are in it. Where the displacements are known the error is constant: "
         "over 20 m terrain mostly the first seconds leave the band (see the column from 10 s on)"
     )
     return Claim(f"{axis} error of bayes_grid in {low:g}..{high:g} m", "all 50 s (one run)", "; ".join(told),
