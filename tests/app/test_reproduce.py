@@ -19,7 +19,7 @@ import terranav.experiment.papers as package
 from terranav.app import paper_figures, reproducing
 from terranav.app.cli import main
 from terranav.app.reproduction import Attempt, numeric_columns, print_parts, shown, summary
-from terranav.app.style import png
+from terranav.app.style import MAIN, png
 from terranav.experiment.papers.outcome import Claim, Figure, Reproduction, Series, Setup, Table
 from terranav.io import rasters
 from terranav.maps.map import Map
@@ -285,6 +285,15 @@ def test_bars_stand_side_by_side_around_their_centres() -> None:
     assert boxes[0].x1 == pytest.approx(boxes[2].x0)
 
 
+@pytest.mark.parametrize("kind", ["lines", "points"])
+def test_a_limit_is_a_dashed_line(kind: str) -> None:
+    limit, data = _series("limit", [2.0, 2.0, 2.0]), _series("a", [1.0, 3.0, 2.0])
+    lines = paper_figures.draw(_figure(kind, limit, data)).axes[0].lines
+    drawn = {str(line.get_label()): line for line in lines}
+    assert drawn["limit"].get_linestyle() == "--"
+    assert drawn["a"].get_color() == MAIN
+
+
 def test_a_logarithmic_axis_leaves_out_what_is_not_positive() -> None:
     drawn = paper_figures.draw(_figure("lines", _series("a", [1.0, 0.0, 10.0, 20.0], 5.0), log_y=True))
     axes = drawn.axes[0]
@@ -327,7 +336,9 @@ def test_the_data_of_a_figure_as_csv() -> None:
 
 def test_columns_of_figures_go_to_the_right() -> None:
     rows = (("1", "50.16", "–", "no"), ("2", "-3 (-4..-2)", "", "1"))
-    assert numeric_columns(Table("", ("n", "a", "b", "c"), rows)) == [False, True, True, False]
+    words = (("1", "as printed"), ("2", "1 start"), ("3", "none"))
+    assert numeric_columns(Table("", ("n", "a"), words)) == [False, False]
+    assert numeric_columns(Table("", ("n", "a", "b", "c"), rows)) == [False, True, True, True]
     assert numeric_columns(Table("", ("n", "a"), ())) == [False, True]
 
 

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Sequence
-from itertools import zip_longest
+from itertools import cycle, zip_longest
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 _COLOURS = (MAIN, INS, *OTHERS)
 _DASHES = ("solid", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
 _MANY = 400  # points of a cloud that are drawn small
+_LIMIT = "#454d55"
 _MARKERS = "os^Dv"
 _HEIGHT_IN, _SQUARE_IN = 4.6, 7.0
 
@@ -44,7 +45,11 @@ def draw(figure: Figure) -> Drawing:
         drawing = new_figure(_HEIGHT_IN)
         axes = drawing.subplots()
         shown = [series for series in figure.series if np.isfinite(series.y).any()]
-        kinds[figure.kind](axes, [_positive(series) for series in shown] if figure.log_y else shown)
+        shown = [_positive(series) for series in shown] if figure.log_y else shown
+        limits = [series for series in shown if figure.kind != "bars" and _is_limit(series)]
+        kinds[figure.kind](axes, [series for series in shown if not any(series is limit for limit in limits)])
+        for series, dashes in zip(limits, cycle(_DASHES[1:])):
+            axes.plot(series.x, series.y, color=_LIMIT, linestyle=dashes, linewidth=1.1, label=series.label)
         if figure.log_y and shown:
             axes.set_yscale("log")
             _plain_ticks(axes)
@@ -80,6 +85,12 @@ def _positive(series: Series) -> Series:
         return Series(series.label, series.x, y, series.low, series.high)
     floor = np.nanmin(y) if np.isfinite(y).any() else np.nan
     return Series(series.label, series.x, y, np.where(series.low > 0.0, series.low, floor), series.high)
+
+
+def _is_limit(series: Series) -> bool:
+    """Whether a series is a limit that others are held against: one value all along, without a band."""
+    known = series.y[np.isfinite(series.y)]
+    return series.low is None and known.size > 1 and bool(np.ptp(known) == 0.0)
 
 
 def _style(i: int) -> tuple[str, object]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import re
 import sys
 import time
 import traceback
@@ -202,7 +203,7 @@ def _figures(attempt: Attempt, out: Path) -> Iterator[Picture]:
     from terranav.io.files import replacing
 
     for figure in attempt.found.figures if attempt.found is not None else ():
-        stem = f"{attempt.paper}-{figure.name}"
+        stem = re.sub(r"[^\w.+-]+", "-", f"{attempt.paper}-{figure.name}")
         _write(out / f"{stem}.csv", data_csv(figure))
         picture = Picture(stem, figure.title, png(draw(figure)))
         with replacing(out / f"{stem}.png") as path:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _STYLE = {"holds": "green", "holds in part": "yellow", "does not hold": "red", "failed": "bold red"}
 FAILED = "failed"
 _UNBOUNDED = 1000  # columns of a file
+_HEAD = 14  # columns that the head of a column of figures may take, however short they are
 _TEXT = 36  # columns of a terminal that a text in a table may take
 
 
@@ -164,7 +165,8 @@ def _table(table: Table, columns: int | None) -> RichTable:
     out = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
     for head, size, right in zip(table.columns, longest, numeric):
         whole = size if right and fits else None
-        widest = None if right or columns is not None else max(_TEXT, len(max(head.split(), key=len, default="")))
+        head_needs = max(map(len, head.split()), default=0)
+        widest = None if columns is not None else max(head_needs, size, _HEAD if right else _TEXT)
         side: Literal["left", "right"] = "right" if right else "left"
         out.add_column(Text(head), justify=side, overflow="fold", min_width=whole, max_width=widest)
     for row in table.rows:
@@ -173,11 +175,14 @@ def _table(table: Table, columns: int | None) -> RichTable:
 
 
 def numeric_columns(table: Table) -> list[bool]:
-    """Whether each column holds figures: every cell starts with a digit, a sign or a dash, or is empty."""
+    """Whether each column but the first holds figures: most cells that are not empty start like one."""
     columns = zip(*table.rows) if table.rows else [()] * len(table.columns)
-    return [
-        i > 0 and all(not cell or cell[0] in "0123456789+-−–.<>" for cell in cells) for i, cells in enumerate(columns)
-    ]
+    return [i > 0 and _mostly_figures(cells) for i, cells in enumerate(columns)]
+
+
+def _mostly_figures(cells: Sequence[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return 2 * sum(cell[0] in "0123456789+-−–.<>" for cell in filled) >= len(filled)
 
 
 def _claims(claims: Sequence[Claim]) -> RichTable:
