@@ -100,11 +100,11 @@ def nearest_on_contour(values, row, col, level, metric, reach_m):
                     continue
                 z0, z1 = np.float64(values[i, j]), np.float64(values[i, j + 1])
                 z2, z3 = np.float64(values[i + 1, j]), np.float64(values[i + 1, j + 1])
-                above = (z0 > level) + (z1 > level) + (z2 > level) + (z3 > level)
-                if above % 4 == 0 or np.isnan(z0 + z1 + z2 + z3):
+                up0, up1, up2, up3 = z0 > level, z1 > level, z2 > level, z3 > level
+                if (up0 == up1 and up1 == up2 and up2 == up3) or np.isnan(z0 + z1 + z2 + z3):
                     continue
                 p, q = i - row, j - col
-                count, ends = _lines(z0 > level, z1 > level, z2 > level, z3 > level, z0 + z1 + z2 + z3 > 4.0 * level)
+                count, ends = _lines(up0, up1, up2, up3, z0 + z1 + z2 + z3 > 4.0 * level)
                 for k in range(count):
                     s, t = ends[k]
                     sr, sc = _on_side(s, z0, z1, z2, z3, level)

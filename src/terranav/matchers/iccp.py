@@ -26,6 +26,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from terranav.core.checks import finite, unknown_name
+from terranav.core.earth import offset_m, shift
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, started_over
@@ -105,7 +106,7 @@ class Iccp:
     """ICCP with a judge of mismatches, over the stream of epochs.
 
     The defaults are for accuracy; papers/003 has window 3, every 1, iterations 60, e_min_m 222 (0.002 degrees),
-    per_step, fuse off.
+    weight 1, per_step, fuse off.
 
     Attributes
     ----------
@@ -125,8 +126,9 @@ class Iccp:
     e_min_m : float or None
         E_min [m]: a start ends as soon as E is below. 0 runs to convergence; None adapts it to slope and noise: eq. 5,
         W E(|height error|) / E(slope), and K times what the INS may be off over the trace.
-    weight : float
-        K.
+    weight : float or None
+        K, 1 in the paper. None weighs the INS by its precision: step errors of one sigma then cost as much as one
+        point's expected distance from its contour. With K = 1 a trace of many points is bent to fit its noise.
     per_step : bool
         Whether each step has its own velocity and course error, as in the paper, or one of each holds for all.
     step_sigma : float or None
@@ -162,7 +164,7 @@ class Iccp:
     starts: int = 20
     iterations: int = 500
     e_min_m: float | None = 0.0
-    weight: float = 1.0
+    weight: float | None = None
     per_step: bool = False
     step_sigma: float | None = None
     judge: Literal["none", "m_of_n", "pdaf"] = "pdaf"
@@ -189,7 +191,8 @@ class Iccp:
                 raise ConfigError(f"iccp every is {self.every}, expected at most the window of {self.window} readings")
         if self.judge not in JUDGES:
             unknown_name("iccp judge", str(self.judge), JUDGES)
-        finite("iccp weight", self.weight, minimum=0.0)
+        if self.weight is not None:
+            finite("iccp weight", self.weight, minimum=0.0)
         finite("iccp agree_m", self.agree_m, above=0.0)
         finite("iccp coarse_above_cells", self.coarse_above_cells, above=0.0)
         if self.e_min_m is not None:
@@ -285,21 +288,23 @@ class Iccp:
         """The window as a task for the simplex."""
         chart, profile = self.maps[0], Profile(state.window, self.maps[0].kind)
         before = (None, *profile.epochs[:-1])
-        sigma = [
+        told = [
             reading_sigma(Measurement(profile.kind, float(v), float(s)), chart, previous, epoch)
             for v, s, previous, epoch in zip(profile.value, profile.sigma, before, profile.epochs, strict=True)
         ]
         step_sigma = self._step_sigma(state, profile) if self.step_sigma is None else self.step_sigma
+        sigma = np.maximum(np.array(told), 1e-6)
         reach = REACH_SIGMA * largest_sigma_m(search.cov_m2) + 2.0 * chart.cell_m
-        return Task(chart, profile, np.maximum(sigma, 1e-6), self.per_step, step_sigma, self.weight, reach)
+        aside = min(_expected_m(chart, profile, sigma, search), reach)
+        length = max(_length_m(profile), 1e-3)
+        weight = aside / (step_sigma * length) if self.weight is None else self.weight
+        return Task(chart, profile, sigma, self.per_step, step_sigma, weight, reach)
 
     def _step_sigma(self, state: IccpState, profile: Profile) -> float:
         """Velocity error over speed [1]: as large a course error [rad] is as likely."""
         seconds = float(profile.time_s[-1] - profile.time_s[0])
-        north, east = np.ptp(profile.lat_deg) * 111e3, np.ptp(profile.lon_deg) * 111e3
-        metres = math.hypot(north, east * math.cos(math.radians(float(profile.lat_deg[0]))))
         drift_m = self.ins.velocity_sigma_at_mps(state.window[-1].time_s - state.start_s) * seconds
-        return min(max(drift_m / max(metres, 1e-3), LEAST_STEP_ERROR), MOST_STEP_ERROR)
+        return min(max(drift_m / max(_length_m(profile), 1e-3), LEAST_STEP_ERROR), MOST_STEP_ERROR)
 
     def _starts(self, task: Task, search: Prior, rng: Generator) -> tuple[FloatArray, FloatArray]:
         """Q random starts: the INS errors (Q, 2) at the last point [m] and the velocity and course errors."""
@@ -317,16 +322,11 @@ class Iccp:
         return errors, steps
 
     def _e_min_m(self, task: Task, search: Prior) -> float:
-        """E_min: as set, or by eqs. 3-5 from the mean height error and the mean slope along the searched trace."""
+        """E_min: as set, or by eqs. 3-5 for the searched trace and step errors of one sigma."""
         if self.e_min_m is not None:
             return self.e_min_m
-        here = [Estimate.at(epoch, search.mean_m, search.cov_m2, Status.SEARCHING) for epoch in task.profile.epochs]
-        slope = np.hypot(*task.chart.gradient([h.lat_deg for h in here], [h.lon_deg for h in here]))
-        slope = slope[np.isfinite(slope)]
-        mean_slope = float(slope.mean()) if slope.size else 0.0
-        height = math.sqrt(2.0 / math.pi) * float(task.sigma.mean())
-        length = float(np.ptp(task.profile.time_s)) * self.ins.velocity_sigma_mps
-        return 0.0 if mean_slope == 0.0 else self.window * height / mean_slope + self.weight * length
+        aside = min(_expected_m(task.chart, task.profile, task.sigma, search), task.reach_m)
+        return self.window * aside + task.weight * task.step_sigma * _length_m(task.profile)
 
     def _pdaf_sigma_m(self, state: IccpState) -> float:
         """1-sigma of the INS error's change since the latest match."""
@@ -336,6 +336,21 @@ class Iccp:
             return self.maps[0].cell_m
         elapsed, dt = state.matched_s - state.start_s, state.window[-1].time_s - state.matched_s
         return math.sqrt(self.ins.position_growth_m2(elapsed, dt, 0.0) + self.maps[0].cell_m ** 2)
+
+
+def _length_m(profile: Profile) -> float:
+    """Length of the INS trace."""
+    north, east = offset_m(profile.lat_deg[:-1], profile.lon_deg[:-1], profile.lat_deg[1:], profile.lon_deg[1:])
+    return float(np.hypot(north, east).sum())
+
+
+def _expected_m(chart: Map, profile: Profile, sigma: FloatArray, search: Prior) -> float:
+    """E_H of one point by eq. 5: mean height error over mean slope where the search begins; infinite on the level."""
+    here = shift(profile.lat_deg, profile.lon_deg, -search.mean_m[0], -search.mean_m[1])
+    slope = np.hypot(*chart.gradient(*here))
+    slope = slope[np.isfinite(slope)]
+    mean = float(slope.mean()) if slope.size else 0.0
+    return math.sqrt(2.0 / math.pi) * float(sigma.mean()) / mean if mean > 0.0 else math.inf
 
 
 def _gaussians(
