@@ -17,9 +17,10 @@ whose curvature is that covariance's inverse. Two discounts, as for TERCOM: resi
 c > 1 times the told one make every variance c times larger, and residuals with a lag-one correlation r beyond the 95 %
 band of white ones count as (1 - r)/(1 + r) each.
 
-What the surface knows is the error at the mean time of its memory, T before now. The drift since is added: with v and q
-the INS's velocity sigma and walk, v^2 T^2 + q^2 T for an error that the map has told; what the unaided INS has gained
-in that time for one that it has not, and in between by the share of the prior's variance that is left.
+What the surface knows is the error at the mean time of its memory, T before now, or at that of the slopes under the
+readings, if that is longer ago: over flat ground the memory lives on what it learned before. The drift since is added:
+with v and q the INS's velocity sigma and walk, v^2 T^2 + q^2 T for an error that the map has told; what the unaided INS
+has gained in that time for one that it has not, and in between by the share of the prior's variance that is left.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, started_over
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior, Status
+from terranav.filters._fading_surface import Memory, reframed
 from terranav.kernels.fading_memory import log_posterior, moments, recall
 from terranav.kernels.sampling import bilinear_lattice
 from terranav.maps.map import Map
@@ -45,48 +47,9 @@ from terranav.maps.noise import reading_sigma
 
 FloatArray = NDArray[np.float64]
 
-LEAST_VALID = 0.8  # share of a cell's memory that must lie on the map
 TAIL = 20.0  # log-probability below the best at which an error does not count
 FINEST = 16  # a narrow prior makes the step at most this many times finer than the map
 READINGS_UNFADING = 48  # before a fix with alpha = 1, where 1/(1 - alpha) would be never: the paper's TERCOM profile
-
-
-@dataclass(frozen=True, slots=True)
-class Memory:
-    """What is remembered of the readings: a surface, and sums that fade as it does."""
-
-    south_m: float  # INS error of the first cell
-    west_m: float
-    cell_m: float
-    surface: FloatArray  # (p, q), aSD over variance
-    missing: FloatArray | None = None  # (p, q), weight of the readings without a map value; None where there are none
-    readings: int = 0
-    weight: float = 0.0  # W
-    weight2: float = 0.0  # W2
-    time_s: float = 0.0  # sum of the readings' times since the start
-    gained_m2: float = 0.0  # sum of the variance that the unaided INS had gained
-    residual: float = 0.0  # the latest at the fix, over its 1-sigma
-    residual2: float = 0.0  # sum of its square
-    lagged: float = 0.0  # sum of its product with the one before
-    judged: float = 0.0  # sum of the weights of the residuals
-
-    @property
-    def north_m(self) -> FloatArray:
-        """(p,) errors north [m]."""
-        return self.south_m + self.cell_m * np.arange(self.surface.shape[0], dtype=np.float64)
-
-    @property
-    def east_m(self) -> FloatArray:
-        """(q,) errors east [m]."""
-        return self.west_m + self.cell_m * np.arange(self.surface.shape[1], dtype=np.float64)
-
-    def scores(self) -> FloatArray:
-        """(p, q) the surface as if every reading had a map value, NaN where too few had."""
-        if self.missing is None:
-            return self.surface
-        known = self.weight - self.missing
-        valid = known >= LEAST_VALID * self.weight - 1e-9
-        return np.where(valid, self.surface * self.weight / np.where(valid, known, 1.0), np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,17 +235,20 @@ class FadingMemory:
             time_s=self.alpha * memory.time_s + epoch.time_s - state.start_s,
             gained_m2=self.alpha * memory.gained_m2 + state.gained_m2,
         )
-        if state.fix_m is None:
-            return replace(state, memory=memory), math.nan
         patch, half = np.empty((3, 3)), 0.5 * chart.cell_m
         step = np.array([-half, 0.0, half])
         bilinear_lattice(
             chart.values, frame.row, frame.col, -(state.mean_m[0] + step), -(state.mean_m[1] + step), patch
         )
-        innovation = reading.value - patch[1, 1]
-        if not math.isfinite(innovation):
-            return replace(state, memory=memory), math.nan
         slope = np.nan_to_num(np.array([patch[2, 1] - patch[0, 1], patch[1, 2] - patch[1, 0]]) / (2.0 * half))
+        memory = replace(
+            memory,
+            slope2=self.alpha * memory.slope2 + (slope / sigma) ** 2,
+            slope2_time=self.alpha * memory.slope2_time + (slope / sigma) ** 2 * (epoch.time_s - state.start_s),
+        )
+        innovation = reading.value - patch[1, 1]
+        if state.fix_m is None or not math.isfinite(innovation):
+            return replace(state, memory=memory), math.nan
         alone = math.hypot(reading.sigma, chart.sigma)
         residual = innovation / alone
         memory = replace(
@@ -352,7 +318,7 @@ class FadingMemory:
         if state.fix_m is None or state.fix_cov_m2 is None or state.epoch is None:
             return replace(state, mean_m=prior.mean_m, cov_m2=prior.cov_m2 + state.gained_m2 * np.eye(2))
         elapsed, then_m2 = state.epoch.time_s - state.start_s, memory.gained_m2 / memory.weight
-        age = max(elapsed - memory.time_s / memory.weight, 0.0)
+        age = np.maximum(elapsed - memory.mean_time_s(), 0.0)
         left = np.clip(np.diag(state.fix_cov_m2) / (np.diag(prior.cov_m2) + then_m2), 0.0, 1.0)
         drift = (self.ins.velocity_sigma_at_mps(elapsed) * age) ** 2 + self.ins.position_walk_m_per_sqrt_s**2 * age
         unaided = state.gained_m2 - (then_m2 if prior.shape == "gaussian" else 0.0)
@@ -371,7 +337,7 @@ class FadingMemory:
             by = np.round((state.fix_m - middle) / memory.cell_m).astype(int)
             if (np.abs(by) * memory.cell_m <= 0.5 * half).all():
                 return state
-            return replace(state, memory=_reframed(memory, by, shape))
+            return replace(state, memory=reframed(memory, by, shape))
         if state.judgement.fixed:  # one poor fix among good ones; a wrong one will be found lost
             return state
         wanted = self._half_m(state.prior, state.gained_m2)
@@ -379,21 +345,10 @@ class FadingMemory:
         if (wanted <= 1.2 * half).all() or state.prior.shape == "uniform" or size.prod() > self.max_cells:
             return state
         size = np.maximum(size, shape)
-        return replace(state, memory=_reframed(memory, -((size - shape) // 2), size))
+        return replace(state, memory=reframed(memory, -((size - shape) // 2), size))
 
     def _started_over(self, state: FadingMemoryState) -> FadingMemoryState:
         """A lost state with its memory thrown away."""
         memory = self._blank(state.prior, state.gained_m2 if state.prior.shape == "gaussian" else 0.0)
         blank = replace(state, memory=memory, fix_m=None, fix_cov_m2=None, judgement=started_over(state.judgement))
         return self._now(blank)
-
-
-def _reframed(memory: Memory, by: NDArray[np.int64], shape: NDArray[np.int64]) -> Memory:
-    """The memory on a grid of another shape whose first cell lies `by` (rows, cols) on; new cells know no reading."""
-    surface, missing = np.zeros(shape), np.full(shape, memory.weight)
-    old = [slice(max(b, 0), max(min(n, b + s), 0)) for b, n, s in zip(by, memory.surface.shape, shape, strict=True)]
-    new = [slice(o.start - b, max(o.stop, o.start) - b) for o, b in zip(old, by, strict=True)]
-    surface[new[0], new[1]] = memory.surface[old[0], old[1]]
-    missing[new[0], new[1]] = 0.0 if memory.missing is None else memory.missing[old[0], old[1]]
-    south, west = np.array([memory.south_m, memory.west_m]) + by * memory.cell_m
-    return replace(memory, south_m=float(south), west_m=float(west), surface=surface, missing=missing)

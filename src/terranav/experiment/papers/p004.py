@@ -101,8 +101,8 @@ def reproduce(setup: Setup) -> Reproduction:
         "would, and a match rate of 94 % could not be. The paper's land is not given: heights are scaled about their "
         f"mean by {study.factors['flat']:.2f} (flat, {study.land_relief_m['flat']:.0f} m 1-sigma along a track) and "
         f"{study.factors['rough']:.2f} (rough, {study.land_relief_m['rough']:.0f} m), where TERCOM alone, without "
-        f"drift and in {_pilots(setup)} other flights, matches as often as the paper's. How the drift of 5 m/s acts is not "
-        "said: " + "; ".join(flights.READINGS.values()) + " are each run on the same flights."
+        f"drift and in {_pilots(setup)} other flights, matches as often as the paper's. How the drift of 5 m/s acts is "
+        "not said: " + "; ".join(flights.READINGS.values()) + " are each run on the same flights."
     )
     return Reproduction(
         "004", TITLE, scenario, setup.runs, _tables(study, cost), _claims(study, cost), _figures(study), study.failures
