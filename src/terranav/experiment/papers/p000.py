@@ -282,7 +282,7 @@ def _hardly_above(study: _Study) -> Claim:
     found, text = _per_case(study, HMM, _under, 1)
     why = (
         "Read as 95 % of all errors under 200 m. With a uniform start over 6 sigma the maximum may lie anywhere in the "
-        "square as long as the land is flat, so a large sigma breaks it there, and there only."
+        "square as long as the land is flat, so a large sigma breaks it there."
     )
     ok = [one.value >= 95.0 for one in found]
     return Claim("HMMTEM's error is hardly above 200 m [% under]", "hardly above", text, _verdict(ok), why)
@@ -312,7 +312,7 @@ def _large_errors(study: _Study) -> Claim:
         better.append(shares[HMM].low > shares[PAPER].high)
     why = (
         "Share of runs that end within 200 m. HMMTEM needs no linearisation; SITAN's plane describes no valley of "
-        "several hills. The remedy within SITAN is the bank of parallel filters. One Gaussian start in 185 lies outside "
+        "several hills. The remedy within SITAN is the bank of parallel filters. One Gaussian start in 185 is outside "
         "the square of 6 sigma: there HMMTEM cannot find it, and its status says 'lost'."
     )
     words = "with large initial errors HMMTEM converges while SITAN may diverge"
