@@ -21,7 +21,7 @@ WINDOW = 3
 dem = tn.sample_map()
 rng = np.random.default_rng(2)
 time_s = np.arange(0.0, 66.0, 2.0)
-lat, lon = shift(*dem.centre_deg, 0.0, 200.0 * (time_s - 32.0))  # west to east at 200 m/s
+lat, lon = shift(*dem.centre_deg, np.zeros(time_s.size), 200.0 * (time_s - 32.0))  # west to east at 200 m/s
 error_m = np.array([333.0, 268.0])  # 0.003 degrees of latitude and longitude
 ins_lat, ins_lon = shift(lat, lon, *error_m)
 height = dem.sample(lat, lon) + rng.normal(0.0, 5.0, time_s.size)
@@ -61,7 +61,7 @@ state = estimator.init(prior, generator)
 for epoch in epochs[: WINDOW + 6]:
     state = estimator.step(state, epoch, generator)
 cloud = estimator.posterior(state)
-north, east = np.linspace(-900.0, 1500.0, 161), np.linspace(-1100.0, 1500.0, 175)
+north, east = np.linspace(-1200.0, 1500.0, 181), np.linspace(-1100.0, 1500.0, 175)
 last = epochs[WINDOW + 5]
 field = dem.sample(*shift(last.lat_deg, last.lon_deg, -north[:, None], -east))
 left.contour(east, north, field, 14, colors="0.8", linewidths=0.7)
