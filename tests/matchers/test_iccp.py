@@ -84,9 +84,9 @@ def test_needs_a_map() -> None:
 
 
 def test_errors_and_covariances_agree_over_many_flights() -> None:
-    """NEES has mean 2 when the covariance is right; 16 flights give it a sigma of 0.5."""
+    """NEES has mean 2 when the covariance is right; 12 flights give it a sigma of 0.6."""
     nees, misses, converged = [], [], 0
-    for seed in range(16):
+    for seed in range(12):
         epochs, error = flight(rough(), seed)
         last = flown(rough(), epochs)[-1]
         miss = last.ins_error_m - error[-1]
@@ -95,7 +95,7 @@ def test_errors_and_covariances_agree_over_many_flights() -> None:
         converged += last.status is Status.CONVERGED
     assert 0.7 < np.mean(nees) < 3.6
     assert np.median(misses) < 25.0
-    assert converged >= 15
+    assert converged >= 11
 
 
 @pytest.mark.parametrize("judge", ["none", "m_of_n", "pdaf"])

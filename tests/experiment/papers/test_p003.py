@@ -19,7 +19,7 @@ from terranav.sensors.barometer import Barometer
 
 @cache
 def found() -> Reproduction:
-    return p003.reproduce(Setup(runs=3, seed=4, maps=(field(0.25, 31), replace(field(0.1, 32), name="mild"))))
+    return p003.reproduce(Setup(runs=2, seed=4, maps=(field(0.25, 31), replace(field(0.1, 32), name="mild"))))
 
 
 def test_tables_claims_and_figures_are_whole() -> None:
@@ -36,19 +36,17 @@ def test_tables_claims_and_figures_are_whole() -> None:
             assert np.isfinite(series.y).all()
     assert len({figure.name for figure in outcome.figures}) == len(outcome.figures)
     cloud = next(figure for figure in outcome.figures if figure.name == "errors_pdaf").series[0]
-    assert cloud.y.size == 3 * MATCHES
+    assert cloud.y.size == 2 * MATCHES
     assert all(claim.verdict in ("holds", "holds in part", "does not hold") for claim in outcome.claims)
 
 
-def test_the_same_seed_gives_the_same_tables() -> None:
-    again = p003.reproduce(Setup(runs=3, seed=4, maps=(field(0.25, 31), replace(field(0.1, 32), name="mild"))))
-    assert again.tables == found().tables
-    assert again.claims == found().claims
-
-
-def test_progress_reaches_the_end() -> None:
+def test_a_map_alone_gives_the_same_rows_and_progress_reaches_the_end() -> None:
+    """The seed of a run depends on nothing else that is run."""
     seen: list[tuple[int, int]] = []
-    p003.reproduce(Setup(runs=2, maps=(field(0.25, 31),), on_run=lambda done, of: seen.append((done, of))))
+    setup = Setup(runs=2, seed=4, maps=(field(0.25, 31),), on_run=lambda done, of: seen.append((done, of)))
+    alone = p003.reproduce(setup)
+    for one, whole in zip(alone.tables, found().tables, strict=True):
+        assert set(one.rows) <= set(whole.rows)
     assert seen[-1] == (10, 10)
     assert seen == sorted(seen)
 
