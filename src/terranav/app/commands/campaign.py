@@ -59,17 +59,19 @@ def _table(name: str, summaries: list[Summary]) -> Table:
     """One row for each scenario and estimator."""
     from rich.table import Table
 
+    from terranav.app.words import percent
+
     table = Table(title=f"{name}: 95 % intervals over runs")
     for head in ("scenario", "estimator"):
         table.add_column(head)
-    for head in ("runs", "failed", "DRMS [m]", "CEP [m]", "match [%]", "in 95 % [%]", "fixed [%]", "first fix [s]"):
-        table.add_column(head, justify="right")
+    for head in ("runs", "failed", "DRMS [m]", "CEP [m]", "match [%]", "in 95 %", "fixed", "first fix [s]"):
+        table.add_column(head, justify="right", overflow="fold")
     for one in summaries:
         figures = one.figures
         table.add_row(
             one.scenario, one.estimator, str(one.runs), str(one.failed or ""),
             _text(figures["drms_m"]), _text(figures["cep_m"]), _text(figures["match_rate"], 100.0),
-            _text(figures["contained_95"], 100.0), _text(figures["fixed"], 100.0), _text(figures["first_fix_s"]),
+            percent(figures["contained_95"].value), percent(figures["fixed"].value), _text(figures["first_fix_s"]),
         )  # fmt: skip
     return table
 
