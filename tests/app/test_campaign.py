@@ -35,6 +35,7 @@ def test_table_then_resumed_json(file: Path, capsys: pytest.CaptureFixture[str])
     shown, err = capsys.readouterr()
     assert err == ""
     assert "study: 95 % intervals over runs" in shown
+    assert "DRMS [m]" in shown
     assert "3 runs, 3 of them now" in shown
     (out / "chunk-00001.parquet").unlink()
     assert main(["campaign", str(file), "--out", str(out), "--resume", "--json"]) == 0

@@ -58,14 +58,15 @@ def campaign(
 def _table(name: str, summaries: list[Summary]) -> Table:
     """One row for each scenario and estimator."""
     from rich.table import Table
+    from rich.text import Text
 
     from terranav.app.words import percent
 
     table = Table(title=f"{name}: 95 % intervals over runs")
     for head in ("scenario", "estimator"):
-        table.add_column(head)
+        table.add_column(head, overflow="fold")
     for head in ("runs", "failed", "DRMS [m]", "CEP [m]", "match [%]", "in 95 %", "fixed", "first fix [s]"):
-        table.add_column(head, justify="right", overflow="fold")
+        table.add_column(Text(head), justify="right", overflow="fold")  # no markup: [m] is a unit
     for one in summaries:
         figures = one.figures
         table.add_row(
