@@ -10,7 +10,7 @@ demo: $(STAMP)
 	$(BIN)/terranav demo --out terranav-demo
 
 test: check
-	$(BIN)/python -m pytest -n 2
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2  # two workers share two cores
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .

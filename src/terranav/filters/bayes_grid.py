@@ -57,7 +57,7 @@ class BayesGrid(PointMass):
     maps, ins, outlier_share, outlier_scale, max_cells, converged_sigma_m
         As in `PointMass`; `outlier_share` is the share of the readings that say nothing.
     min_cell_m : float or None
-        Finest cell; None is 1/20 of the map's.
+        Finest cell [m]; None is 1/20 of the map's.
     max_cell_m : float or None
         Cell of the grid where it is not refined; None is half the map's. Equal to `min_cell_m`, the cells never change.
     band : float or None

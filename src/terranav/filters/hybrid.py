@@ -88,7 +88,7 @@ class Hybrid:
     feedback: bool = False
     outlier_share: float = 0.02
     outlier_scale: float = 10.0
-    min_cell_m: float = 1.0
+    min_cell_m: float | None = None
     max_cells: int = 160_000
     converged_sigma_m: float | None = None
 

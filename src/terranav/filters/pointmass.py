@@ -88,8 +88,9 @@ class PointMass:
         Probability that a reading is an outlier, in [0, 1).
     outlier_scale : float
         How many times noisier an outlier is, > 1.
-    min_cell_m : float
-        Finest cell [m]. A posterior narrower than it is not resolved, and would be claimed too narrow.
+    min_cell_m : float or None
+        Finest cell [m]; a posterior narrower than it is not resolved, and would be claimed too narrow. None is 1 m, or
+        1/20 of the map's cell where that is less.
     max_cells : int
         Most cells of the grid; where the density would need more, the cell grows and the likelihood is widened to
         what the cells can carry, so that a narrow peak between them is not missed.
@@ -106,7 +107,7 @@ class PointMass:
     ins: InsGrade
     outlier_share: float = 0.02
     outlier_scale: float = 10.0
-    min_cell_m: float = 1.0
+    min_cell_m: float | None = None
     max_cells: int = 160_000
     converged_sigma_m: float | None = None
 
@@ -114,9 +115,9 @@ class PointMass:
         finite("pointmass outlier_share", self.outlier_share, minimum=0.0, maximum=0.5)
         finite("pointmass outlier_scale", self.outlier_scale, above=1.0)
         finite("pointmass max_cells", self.max_cells, minimum=400)
-        finite("pointmass min_cell_m", self.min_cell_m, above=0.0)
-        if self.converged_sigma_m is not None:
-            finite("pointmass converged_sigma_m", self.converged_sigma_m, above=0.0)
+        for key in ("min_cell_m", "converged_sigma_m"):
+            if getattr(self, key) is not None:
+                finite(f"pointmass {key}", getattr(self, key), above=0.0)
         kinds = [entry.kind for entry in self.maps]
         if not kinds or len(set(kinds)) != len(kinds):
             raise ConfigError(f"pointmass maps are of kinds {kinds}, expected one map of each kind that is measured")
@@ -126,7 +127,7 @@ class PointMass:
         sigma = np.sqrt(np.diag(prior.cov_m2))
         reach = (REACH if prior.shape == "gaussian" else 3.0) * sigma
         cell = max(self._coarsest_m, math.sqrt(4.0 * float(reach.prod()) / (0.9 * self.max_cells)))
-        cell = min(cell, max(float(sigma.min()) / WIDTH_WANTED, self.min_cell_m))
+        cell = min(cell, max(float(sigma.min()) / WIDTH_WANTED, self._finest_m))
         cell = max(cell, math.sqrt(4.0 * float(reach.prod()) / (0.9 * self.max_cells)))
         half = np.maximum(np.ceil(reach / cell), 3).astype(int)
         south, west = prior.mean_m - half * cell
@@ -192,6 +193,10 @@ class PointMass:
         return 0.5 * min(chart.cell_m for chart in self.maps)
 
     @property
+    def _finest_m(self) -> float:
+        return min(1.0, 0.1 * self._coarsest_m) if self.min_cell_m is None else self.min_cell_m
+
+    @property
     def _judge(self) -> Judge:
         threshold = 2.0 * self._coarsest_m if self.converged_sigma_m is None else self.converged_sigma_m
         return Judge(converged_sigma_m=threshold)
@@ -250,7 +255,7 @@ class PointMass:
     def _allowed_m(self, used: tuple[tuple[int, int], tuple[int, int]], cell_m: float) -> float:
         """The finest cell that the support of the density, with its margin, may have under max_cells."""
         sides = [(1.4 * (high - low + 1) + 8) * cell_m for low, high in used]
-        return max(self.min_cell_m, math.sqrt(sides[0] * sides[1] / self.max_cells))
+        return max(self._finest_m, math.sqrt(sides[0] * sides[1] / self.max_cells))
 
     def _regridded(self, grid: Grid, wanted_m: float) -> Grid:
         """Resample the density to cells of about `wanted_m` over its support and a margin of a fifth on each side."""

@@ -151,8 +151,8 @@ def _along_a_row(values, row, c0, c1, c2, east, blend, line):
         blend[x] = (1.0 - u) * low[x] + u * high[x]
     for j in range(east.size):
         col = c0 + east[j] * (c1 + east[j] * c2)
-        x = np.int32(col)
-        v, k = col - x, np.uint32(x)  # an unsigned index needs no test for a negative one
+        whole = np.int32(col)
+        v, k = col - whole, np.uint32(whole)  # an unsigned index needs no test for a negative one
         line[j] = (1.0 - v) * blend[k] + v * blend[k + np.uint32(1)]
 
 

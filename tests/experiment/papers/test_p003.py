@@ -8,11 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from terranav.core.earth import metres_per_degree, offset_m
 from terranav.core.errors import ConfigError
+from terranav.core.records import Prior
 from terranav.experiment.papers import p003
-from terranav.experiment.papers._p003_matches import MATCHES, RULES, Case, fly
-from terranav.experiment.papers._p003_world import DEGREE_M, Land, field, flight, lands, track
+from terranav.experiment.papers._p003_matches import MATCHES, RULES, Case, estimator, fly
+from terranav.experiment.papers._p003_world import DEGREE_M, INS, Land, field, flight, lands, track
 from terranav.experiment.papers.outcome import Reproduction, Setup
+from terranav.experiment.stream import states
 from terranav.maps.fields import gaussian_map, plane_map
 from terranav.sensors.barometer import Barometer
 
@@ -55,15 +58,13 @@ def test_replayed_judges_are_those_of_the_estimator() -> None:
     """With the search around the INS trace the optimisations are the same whatever the judge."""
     land = Land("field", field(0.25, 31))
     replayed = fly(land, Case("open"), np.random.SeedSequence(8))
-    import terranav.experiment.papers._p003_matches as matches
-
     way = track(land, MATCHES + 2)
     world, search = (np.random.SeedSequence(8, spawn_key=(i,)) for i in range(2))
     run = flight(way, np.random.default_rng(world))
     for rule in RULES:
-        steps = matches.states(
-            matches.estimator(land, Case("open"), rule.judge),
-            matches.Prior.from_ins(matches.INS),
+        steps = states(
+            estimator(land, Case("open"), rule.judge),
+            Prior.from_ins(INS),
             run.epochs,
             np.random.default_rng(search),
         )
@@ -71,8 +72,8 @@ def test_replayed_judges_are_those_of_the_estimator() -> None:
         accepted = [state.latest is not None and state.latest.decision.accepted for state in after]
         np.testing.assert_array_equal(replayed[rule.name][1], accepted)
         lat, lon = run.true_deg[-1]
-        north, east = matches.offset_m(lat, lon, run.epochs[-1].lat_deg, run.epochs[-1].lon_deg)
-        per_degree = matches.metres_per_degree(lat)
+        north, east = offset_m(lat, lon, run.epochs[-1].lat_deg, run.epochs[-1].lon_deg)
+        per_degree = metres_per_degree(lat)
         off = (after[-1].mean_m - [float(north), float(east)]) / np.array([float(part) for part in per_degree])
         assert replayed[rule.name][0][-1] == pytest.approx(np.hypot(*off), rel=1e-9)
 
