@@ -5,8 +5,13 @@ from __future__ import annotations
 import importlib
 import io
 import json
+import os
 import sys
-from collections.abc import Callable
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +21,11 @@ from matplotlib.patches import Rectangle
 from rich.console import Console
 
 import terranav.experiment.papers as package
-from terranav.app import paper_figures, reproducing
+from terranav.app import paper_figures, reproducing, studies
 from terranav.app.cli import main
 from terranav.app.reproduction import Attempt, numeric_columns, print_parts, shown, summary
 from terranav.app.style import MAIN, png
+from terranav.core.errors import DataWarning
 from terranav.experiment.papers.outcome import Claim, Figure, Reproduction, Series, Setup, Table
 from terranav.io import rasters
 from terranav.maps.map import Map
@@ -72,6 +78,7 @@ def shelve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Non
     folder.mkdir()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(package, "__path__", [str(folder)])
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)  # one paper after the other, here, where they are known
 
     def put(**sources: str) -> None:
         for name, source in sources.items():
@@ -105,7 +112,7 @@ def good(shelve: Callable[..., None]) -> None:
 def test_wrong_use_is_one_line_before_anything_runs(
     good: None, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reproducing, "reproduce", lambda *_: pytest.fail("a study was started"))
+    monkeypatch.setattr(studies, "reproduce", lambda *_: pytest.fail("a study was started"))
     assert expected in refused(capsys, "reproduce", *arguments)
     assert not Path(reproducing.DEFAULT_FOLDER).exists()
 
@@ -248,14 +255,92 @@ def test_maps_are_opened_once_and_reach_every_paper(
     assert len(found["papers"]) == 2
 
 
-def test_progress_starts_again_for_each_study(monkeypatch: pytest.MonkeyPatch) -> None:
-    with reproducing.progress("000") as nothing:
-        assert nothing is None
+def test_progress_has_a_bar_for_each_paper(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    with studies.progress() as none, none.aside():
+        assert none.on_run is None
+    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    with reproducing.progress("000") as on_run:
-        assert on_run is not None
+    with studies.progress() as bars:
+        assert bars.on_run is not None
         for done in (1, 2, 3, 1, 2):
-            on_run(done, 3)
+            bars.on_run("000", done, 3)
+            bars.on_run("001", 2 * done, 6)
+        with bars.aside():
+            sys.stdout.write("a table\n")
+    out, err = capsys.readouterr()
+    assert out == "a table\n"
+    assert "paper 000, study 2" in err
+    assert "4/6" in err
+
+
+def stand_in(number: str, setup: Setup) -> Attempt:
+    """A study for a process of its own: 000 waits for the others and warns, 001 dies, 002 reports its runs."""
+    if number == "000":
+        while not Path(setup.maps[0].name).exists():
+            time.sleep(0.01)
+        for _ in range(2):
+            warnings.warn("doubtful", DataWarning, stacklevel=1)
+    if number == "001":
+        os._exit(3)
+    if number == "002":
+        for done in (1, 2):
+            assert setup.on_run is not None
+            setup.on_run(done, 2)
+        Path(setup.maps[0].name).touch()
+    return Attempt(number, f"seed {setup.seed}", 0.0)
+
+
+def test_papers_run_side_by_side_and_one_that_dies_costs_only_itself(
+    tmp_path: Path, chart: Map, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setup = Setup(seed=6, maps=(replace(chart, name=str(tmp_path / "flag")),))
+    seen: list[tuple[str, int, int]] = []
+    found = list(studies.side_by_side(stand_in, ["000", "001", "002"], setup, 2, lambda *run: seen.append(run)))
+    assert [attempt.paper for attempt in found] == ["001", "002", "000"]
+    assert found[0].error == "its process ended with status 3 before it was done"
+    assert [attempt.title for attempt in found[1:]] == ["seed 6", "seed 6"]
+    assert seen == [("002", 1, 2), ("002", 2, 2)]
+    assert capsys.readouterr().err == "terranav: warning: doubtful\n"
+
+
+def test_whoever_stops_reading_ends_the_studies(tmp_path: Path, chart: Map) -> None:
+    setup = Setup(maps=(replace(chart, name=str(tmp_path / "flag")),))
+    reader = studies.side_by_side(stand_in, ["000", "001"], setup, 2)
+    assert next(reader).paper == "001"
+    del reader
+    for process in active_children():
+        process.join(10)
+    assert active_children() == []
+
+
+def test_tables_come_in_order_whichever_paper_is_first(
+    good: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def backwards(numbers: list[str], *_: object) -> Iterator[Attempt]:
+        for number in reversed(numbers):
+            yield Attempt(number, f"paper {number}", 1.0, error="none of this name" if number == "001" else "")
+            kept = json.loads((tmp_path / "kept" / "reproduction.json").read_text())["papers"]
+            assert list(kept) == [one for one in numbers if one >= number]
+
+    monkeypatch.setattr(reproducing, "attempts", backwards)
+    task = reproducing.Task(["000", "001", "002"], Setup(2), tmp_path / "kept", processes=2)
+    (tmp_path / "kept").mkdir()
+    assert reproducing.conclude(task) == 1
+    out = capsys.readouterr().out
+    assert out.index("paper 000") < out.index("paper 001") < out.index("paper 002")
+
+
+def test_stopped_while_an_earlier_paper_runs_shows_what_is_done(
+    good: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object) -> Iterator[Attempt]:
+        yield Attempt("001", "the second paper", 1.0)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(reproducing, "attempts", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        reproducing.conclude(reproducing.Task(["000", "001"], Setup(2)))
+    assert "the second paper" in capsys.readouterr().out
 
 
 def _figure(kind: str, *series: Series, log_y: bool = False) -> Figure:

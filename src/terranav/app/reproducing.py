@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import re
 import sys
-import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from terranav.app.console import INCOMPLETE, OK, as_json, complain, one_line, show_json, width
+from terranav.app.console import INCOMPLETE, OK, as_json, complain, show_json, width
 from terranav.app.reproduction import (
     Attempt,
     numeric_columns,
@@ -25,12 +22,10 @@ from terranav.app.reproduction import (
     verdict_table,
     verdicts,
 )
-from terranav.app.words import duration
-from terranav.core.errors import ConfigError, DataError, TerranavError
+from terranav.app.studies import attempts, progress
+from terranav.core.errors import ConfigError
 from terranav.experiment.papers.outcome import Setup
-from terranav.experiment.papers.registry import paper_number, papers, reproduce, title
-
-OnRun = Callable[[int, int], None]
+from terranav.experiment.papers.registry import paper_number, papers
 
 DEFAULT_FOLDER = "terranav-reproduce"
 SUMMARY, PAGE = "reproduction.json", "reproduction.html"
@@ -52,6 +47,8 @@ class Task:
         One JSON document on stdout at the end instead of the tables as they come.
     command : str
         As it was typed.
+    processes : int
+        How many papers at the same time.
     """
 
     numbers: Sequence[str]
@@ -59,6 +56,7 @@ class Task:
     out: Path | None = None
     json: bool = False
     command: str = ""
+    processes: int = 1
 
 
 def chosen(texts: Sequence[str]) -> list[str]:
@@ -75,46 +73,50 @@ def chosen(texts: Sequence[str]) -> list[str]:
 
 def conclude(task: Task) -> int:
     """Reproduce every paper wanted, keep what came of each at once, and show it; return the exit status."""
-    attempts: list[Attempt] = []
+    done: dict[str, Attempt] = {}
     pictures: dict[str, list[Picture]] = {}
+    unshown = list(task.numbers)
     status = OK
-    for place, number in enumerate(task.numbers, 1):
-        attempt, error = tried(number, task.setup, f"{number} ({place} of {len(task.numbers)})")
-        attempts.append(attempt)
-        if error is not None:
-            if len(task.numbers) == 1 and isinstance(error, (ConfigError, DataError)):
-                raise error  # what was typed does not suit this paper: there is nothing else to show
-            complain(f"paper {number}: {attempt.error}")
-            status = INCOMPLETE
-        if task.out is not None and not keep(task, attempts, pictures, task.out):
-            status = status or INCOMPLETE
-        if not task.json:
-            print_parts(*shown(attempt, width() if sys.stdout.isatty() else None))
-            sys.stdout.flush()
+    try:
+        with progress() as bars:
+            for attempt in attempts(task.numbers, task.setup, task.processes, bars.on_run):
+                done[attempt.paper] = attempt
+                if attempt.refused and len(task.numbers) == 1:
+                    raise ConfigError(attempt.error)  # there is nothing else to show
+                if attempt.error:
+                    complain(f"paper {attempt.paper}: {attempt.error}")
+                    status = INCOMPLETE
+                if task.out is not None and not keep(task, in_order(task, done), attempt, pictures, task.out):
+                    status = INCOMPLETE
+                with bars.aside():
+                    while not task.json and unshown and unshown[0] in done:
+                        show_attempt(done[unshown.pop(0)])
+    except KeyboardInterrupt:
+        for number in unshown if not task.json else ():
+            if number in done:
+                show_attempt(done[number])
+        raise
+    found = in_order(task, done)
     if task.json:
-        show_json(document(task, attempts))
+        show_json(document(task, found))
         return status
-    if len(attempts) > 1:
-        print_parts(verdict_table(attempts))
-    print_parts(summary(attempts))
+    if len(found) > 1:
+        print_parts(verdict_table(found))
+    print_parts(summary(found))
     if task.out is not None:
         print_parts(f"summary: {task.out / PAGE}")
     return status
 
 
-def tried(number: str, setup: Setup, label: str) -> tuple[Attempt, Exception | None]:
-    """Run one paper's study; an exception becomes its outcome."""
-    name = ""
-    start_s = time.perf_counter()
-    try:
-        with progress(label) as on_run:
-            name = title(number)
-            found = reproduce(number, replace(setup, on_run=on_run))
-        return Attempt(number, found.title, time.perf_counter() - start_s, found), None
-    except Exception as error:  # noqa: BLE001  one paper's failure must not cost the others
-        text = one_line(error if isinstance(error, TerranavError) else f"{type(error).__name__}: {error}")
-        full = traceback.format_exc()
-        return Attempt(number, name, time.perf_counter() - start_s, error=text, traceback=full), error
+def in_order(task: Task, done: Mapping[str, Attempt]) -> list[Attempt]:
+    """What is done, in the order in which it was asked for."""
+    return [done[number] for number in task.numbers if number in done]
+
+
+def show_attempt(attempt: Attempt) -> None:
+    """Print a paper's outcome at once, also into a pipe."""
+    print_parts(*shown(attempt, width() if sys.stdout.isatty() else None))
+    sys.stdout.flush()
 
 
 @dataclass(frozen=True)
@@ -126,9 +128,10 @@ class Picture:
     png: bytes
 
 
-def keep(task: Task, attempts: Sequence[Attempt], pictures: dict[str, list[Picture]], out: Path) -> bool:
+def keep(
+    task: Task, attempts: Sequence[Attempt], latest: Attempt, pictures: dict[str, list[Picture]], out: Path
+) -> bool:
     """Write what the latest paper found, then draw it, then the page of all so far; False when something failed."""
-    latest = attempts[-1]
     steps: tuple[Callable[[], None], ...] = (
         lambda: _write(out / f"{latest.paper}.json", as_json(latest.as_json()) + "\n"),
         lambda: _write(out / SUMMARY, as_json(document(task, attempts)) + "\n"),
@@ -177,11 +180,11 @@ def page(task: Task, attempts: Sequence[Attempt], pictures: Mapping[str, Sequenc
         },
         told=told,
         numeric=numeric_columns,
-        facts=facts(task, attempts),
+        facts=facts(task),
     )
 
 
-def facts(task: Task, attempts: Sequence[Attempt]) -> list[tuple[str, str]]:
+def facts(task: Task) -> list[tuple[str, str]]:
     """What it takes to make the same page again."""
     from terranav._version import __version__
 
@@ -192,7 +195,6 @@ def facts(task: Task, attempts: Sequence[Attempt]) -> list[tuple[str, str]]:
         ("--runs", str(task.setup.runs)),
         ("seed", str(task.setup.seed)),
         ("maps", maps),
-        ("took", duration(sum(attempt.wall_s for attempt in attempts))),
     ]
 
 
@@ -217,43 +219,3 @@ def _write(file: Path, text: str) -> None:
 
     with replacing(file) as path:
         path.write_text(text, encoding="utf-8")
-
-
-@contextlib.contextmanager
-def progress(label: str) -> Iterator[OnRun | None]:
-    """Give a callback that moves a bar with the time left on stderr; None when stderr is no terminal.
-
-    A paper may make several studies of runs one after the other: the bar starts again for each.
-    """
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("runs, left:"))
-    console = Console(file=sys.stderr)
-    with Progress(
-        *columns, TimeRemainingColumn(), TextColumn("spent:"), TimeElapsedColumn(), console=console, transient=True,
-        speed_estimate_period=120.0,
-    ) as bars:  # fmt: skip
-        task = bars.add_task(f"paper {label}", total=None)
-        before, study = 0, 1
-
-        def on_run(done: int, of: int) -> None:
-            nonlocal before, study, task
-            if done <= before:
-                study += 1
-                bars.remove_task(task)
-                task = bars.add_task(f"paper {label}, study {study}", total=of)
-            before = done
-            bars.update(task, completed=done, total=of)
-
-        yield on_run

@@ -38,6 +38,8 @@ class Attempt:
         None when it failed.
     error, traceback : str
         Why it failed, in one line and in full; empty when it did not.
+    refused : bool
+        Whether it failed because it cannot use what it was given, such as a map.
     """
 
     paper: str
@@ -46,6 +48,7 @@ class Attempt:
     found: Reproduction | None = None
     error: str = ""
     traceback: str = ""
+    refused: bool = False
 
     @property
     def claims(self) -> Sequence[Claim]:

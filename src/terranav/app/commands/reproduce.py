@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -23,7 +24,8 @@ def reproduce(
         typer.Option("--map", metavar="FILE", help="Use this map in place of the papers' default ones. Repeatable."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Runs at the same time; one a core unless given. Same figures.")
+        int | None,
+        typer.Option(metavar="N", help="How much runs at the same time; one a core unless given. Same figures."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -52,13 +54,14 @@ def reproduce(
     numbers = chosen(wanted)
     count = int(finite("--runs", runs, minimum=2))
     first_seed = int(finite("--seed", seed, minimum=0))
-    threads = None if workers is None else Threads(int(finite("--workers", workers, minimum=1)))
+    at_once = (os.cpu_count() or 1) if workers is None else int(finite("--workers", workers, minimum=1))
+    processes = min(len(numbers), at_once)
     map_options = {
         "kind": map_kind, "sigma": map_sigma, "crs": map_crs, "variable": map_variable, "unit": map_unit
     }  # fmt: skip
     idle = [key for key, values in map_options.items() if values and not maps]
     if idle:
         raise ConfigError(f"--map-{idle[0]} is given without --map, expected the map that it is about")
-    setup = Setup(count, first_seed, open_maps(maps or (), map_options), threads)
+    setup = Setup(count, first_seed, open_maps(maps or (), map_options), Threads(at_once // processes))
     folder = folder_for(Path(DEFAULT_FOLDER) if out is None and "all" in wanted else out)
-    return conclude(Task(numbers, setup, folder, as_json, context.obj))
+    return conclude(Task(numbers, setup, folder, as_json, context.obj, processes))
