@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terranav.core.earth import metres_per_degree, offset_m, shift, wrap_longitude
+from terranav.core.earth import metres_per_degree, offset_m, offset_of, shift, shifted, wrap_longitude
 
 LATITUDES = st.floats(-80.0, 80.0)
 LONGITUDES = st.floats(-180.0, 179.999)
@@ -47,3 +47,10 @@ def test_metres_per_degree_agree_with_the_geodesic() -> None:
 
 def test_longitudes_wrap_to_the_half_open_circle() -> None:
     np.testing.assert_allclose(wrap_longitude([180.0, -180.0, 359.0, 181.0]), [-180.0, -180.0, -1.0, -179.0])
+
+
+@given(lat=LATITUDES, lon=LONGITUDES, north=METRES, east=METRES)
+def test_single_positions_give_what_arrays_give(lat: float, lon: float, north: float, east: float) -> None:
+    place = shifted(lat, lon, north, east)
+    np.testing.assert_allclose(place, shift(lat, lon, north, east), rtol=1e-13, atol=1e-12)
+    np.testing.assert_allclose(offset_of(lat, lon, *place), offset_m(lat, lon, *place), rtol=1e-12, atol=1e-9)

@@ -7,6 +7,7 @@ Against the geodesic the distance errs by 1.4 mm at 10 km and 45 degrees, 9 mm a
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,30 @@ def metres_per_degree(lat_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
 def wrap_longitude(lon_deg: ArrayLike) -> FloatArray:
     """Longitude in [-180, 180) [deg]."""
     return (np.asarray(lon_deg, dtype=np.float64) + 180.0) % 360.0 - 180.0
+
+
+def _metres_per_degree(lat_deg: float) -> tuple[float, float]:
+    """`metres_per_degree` of one latitude: a tenth of the time that arrays of one element take."""
+    lat = math.radians(lat_deg)
+    w2 = 1.0 - ECCENTRICITY_SQ * math.sin(lat) ** 2
+    prime_vertical = SEMI_MAJOR_M / math.sqrt(w2)
+    return math.radians(prime_vertical * (1.0 - ECCENTRICITY_SQ) / w2), math.radians(prime_vertical * math.cos(lat))
+
+
+def offset_of(from_lat_deg: float, from_lon_deg: float, to_lat_deg: float, to_lon_deg: float) -> tuple[float, float]:
+    """`offset_m` of two single positions, for the path of every epoch [m]."""
+    per_lat, per_lon = _metres_per_degree(0.5 * (from_lat_deg + to_lat_deg))
+    east = (to_lon_deg - from_lon_deg + 180.0) % 360.0 - 180.0
+    return (to_lat_deg - from_lat_deg) * per_lat, east * per_lon
+
+
+def shifted(lat_deg: float, lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
+    """`shift` of a single position, for the path of every epoch [deg]."""
+    dlat = north_m / _metres_per_degree(lat_deg)[0]
+    for _ in range(3):
+        dlat = north_m / _metres_per_degree(lat_deg + 0.5 * dlat)[0]
+    per_lon = _metres_per_degree(lat_deg + 0.5 * dlat)[1]
+    return lat_deg + dlat, (lon_deg + east_m / per_lon + 180.0) % 360.0 - 180.0
 
 
 def offset_m(

@@ -68,6 +68,9 @@ class InsGrade:
 
     def velocity_sigma_at_mps(self, elapsed_s: float) -> float:
         """1-sigma of the velocity error per axis after `elapsed_s` without aiding [m/s] (see the module docstring)."""
+        walks = self.velocity_walk_mps_per_sqrt_s or self.accel_walk_mps_per_sqrt_h or self.gyro_walk_deg_per_sqrt_h
+        if not (walks or self.accel_bias_sigma_ug or self.attitude_sigma_deg or self.gyro_bias_sigma_deg_per_h):
+            return self.velocity_sigma_mps  # most grades on position level: nothing makes it grow
         w, t = SCHULER_RAD_PER_S, elapsed_s
         tilt_mps2 = GRAVITY_MPS2 * math.radians(self.attitude_sigma_deg)
         accel_mps2 = GRAVITY_MPS2 * 1e-6 * self.accel_bias_sigma_ug

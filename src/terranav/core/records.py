@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terranav.core.checks import covariance, finite
-from terranav.core.earth import shift
+from terranav.core.earth import shifted
 from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 
@@ -165,8 +165,8 @@ class Estimate:
         nis: float = float("nan"),
     ) -> Estimate:
         """The estimate that corrects the indicated position of `epoch` by an estimated INS error."""
-        lat, lon = shift(epoch.lat_deg, epoch.lon_deg, -ins_error_m[0], -ins_error_m[1])
-        return cls(epoch.time_s, float(lat), float(lon), epoch.alt_m, ins_error_m, cov_m2, status, nis)
+        lat, lon = shifted(epoch.lat_deg, epoch.lon_deg, -float(ins_error_m[0]), -float(ins_error_m[1]))
+        return cls(epoch.time_s, lat, lon, epoch.alt_m, ins_error_m, cov_m2, status, nis)
 
 
 @dataclass(frozen=True)

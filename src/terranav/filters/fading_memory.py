@@ -161,7 +161,7 @@ class FadingMemory:
             Judge(converged_sigma_m=self.maps[0].cell_m if self.converged_sigma_m is None else self.converged_sigma_m),
             state.judgement,
             largest_sigma_m(state.cov_m2),
-            nis=float(np.mean(nis)) if nis else math.nan,
+            nis=sum(nis) / len(nis) if nis else math.nan,
             readings=len(nis),
             off_map=all(off_map) if off_map else None,
         )

@@ -141,7 +141,7 @@ class Particle:
             self._judge,
             state.judgement,
             largest_sigma_m(cov),
-            nis=float(np.mean(nis)) if nis else math.nan,
+            nis=sum(nis) / len(nis) if nis else math.nan,
             readings=len(nis),
             off_map=max(known) <= 0.5 if known else None,
         )

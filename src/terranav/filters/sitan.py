@@ -130,7 +130,7 @@ class Sitan:
             self._judge,
             state.judgement,
             largest_sigma_m(state.cov_m2),
-            nis=float(np.mean(nis)) if nis else math.nan,
+            nis=sum(nis) / len(nis) if nis else math.nan,
             readings=len(nis),
             off_map=all(off_map) if off_map else None,
         )

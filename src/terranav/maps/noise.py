@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from terranav.core.earth import offset_m
+from terranav.core.earth import offset_of
 from terranav.core.records import Epoch, Measurement
 from terranav.maps.map import Map
 
@@ -29,7 +29,6 @@ def reading_sigma(reading: Measurement, chart: Map, previous: Epoch | None, epoc
     """
     shared = 1.0
     if previous is not None:
-        north, east = offset_m(previous.lat_deg, previous.lon_deg, epoch.lat_deg, epoch.lon_deg)
-        spacing = math.hypot(float(north), float(east))
+        spacing = math.hypot(*offset_of(previous.lat_deg, previous.lon_deg, epoch.lat_deg, epoch.lon_deg))
         shared = min(max(1.0, chart.cell_m / max(spacing, 1e-9)), MOST_REPEATED)
     return math.sqrt(reading.sigma**2 + chart.sigma**2 * shared)
