@@ -12,6 +12,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
+from terranav.app.ahead_figure import terrain_ahead
 from terranav.app.outcome import BASELINE, ELLIPSE_95, Outcome
 from terranav.app.style import INS, MAIN, TRUTH, colours, new_figure, status_ribbon, styled, time_axis
 from terranav.app.trackmap import track_map
@@ -219,4 +220,5 @@ FIGURES: dict[str, Callable[[Outcome], Figure | None]] = {
     "profile": profiles,
     "north_east": north_east,
     "posterior": posterior,
+    "ahead": terrain_ahead,
 }

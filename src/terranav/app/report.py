@@ -119,6 +119,14 @@ def captions(outcome: Outcome) -> dict[str, dict[str, str]]:
                 + (" The cross is the error the INS really had." if known else "")
             ),
         },
+        "ahead": {
+            "title": "Terrain ahead",
+            "caption": (
+                "Altitude over the ground below the corrected track. Shaded red where, looking two minutes ahead with "
+                f"the position and covariance of {name}, the clearance may fall under the margin with more than 1 % "
+                "probability; shaded yellow where the map does not say."
+            ),
+        },
     }
 
 
