@@ -154,6 +154,16 @@ def test_bad_estimators(estimator: Any, settings: dict[str, Any], message: str) 
         run(estimator, flight(), [chart()], **settings)
 
 
+def test_windows_longer_than_the_recording() -> None:
+    wrong = r"window is 5000, but short holds 60 readings to compare; expected at most that many"
+    with pytest.raises(ConfigError, match=f"tercom {wrong}"):
+        run("tercom", flight(), [chart()], window=5000)
+    with pytest.raises(ConfigError, match=f"tercom {wrong}"):
+        compare({"long": ("tercom", {"window": 5000})}, flight(), [chart()])
+    with pytest.raises(ConfigError, match="fading_memory readings is 61"):
+        run("fading_memory", flight(), [chart()], readings=61)
+
+
 def test_estimators_are_found_without_importing_them() -> None:
     script = (
         "import sys; from terranav.experiment.registry import estimators; print(estimators()); "

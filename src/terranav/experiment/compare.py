@@ -13,7 +13,7 @@ from terranav.core.records import Prior
 from terranav.experiment.inputs import prepare
 from terranav.experiment.registry import check_name, estimator_name, make_estimator, own_maps
 from terranav.experiment.result import Result
-from terranav.experiment.run import check_seed, fly, needs_maps
+from terranav.experiment.run import check_length, check_seed, fly, needs_maps
 from terranav.maps.map import Map
 
 Method = str | Estimator[Any] | Matcher
@@ -59,6 +59,8 @@ def compare(
     theirs = {id(chart): chart for method, _ in methods.values() for chart in own_maps(method)}
     needs = any(needs_maps(method) for method, _ in methods.values())
     inputs = prepare(rec, maps or tuple(theirs.values()), ins, prior, needs_maps=needs)
+    for method, settings in methods.values():
+        check_length(estimator_name(method), settings, inputs)
     built = {
         label: make_estimator(method, inputs.maps, inputs.ins, **settings)
         for label, (method, settings) in methods.items()

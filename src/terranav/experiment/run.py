@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -77,8 +77,22 @@ def run(
     check_seed(seed)
     check_name(estimator)
     inputs = prepare(rec, own_maps(estimator) or maps, ins, prior, needs_maps=needs_maps(estimator))
+    check_length(estimator_name(estimator), settings, inputs)
     built = make_estimator(estimator, inputs.maps, inputs.ins, **settings)
     return fly(built, inputs, seed, on_epoch)
+
+
+def check_length(name: str, settings: Mapping[str, Any], inputs: Inputs) -> None:
+    """Raise ConfigError where a method was asked for more readings at once than the whole recording holds."""
+    kinds = {chart.kind for chart in inputs.maps}
+    count = sum(any(reading.kind in kinds for reading in epoch.measurements) for epoch in inputs.epochs)
+    for key in ("window", "readings"):
+        asked = settings.get(key)
+        if isinstance(asked, int) and not isinstance(asked, bool) and asked > count:
+            raise ConfigError(
+                f"{name} {key} is {asked}, but {inputs.rec.name} holds {count} readings to compare; "
+                "expected at most that many"
+            )
 
 
 def fly(estimator: Estimator[Any], inputs: Inputs, seed: int, on_epoch: Progress | None = None) -> Result:
