@@ -115,7 +115,7 @@ def _points(axes: Axes, all_series: Sequence[Series]) -> None:
     for i, series in enumerate(all_series):
         colour = _COLOURS[i % len(_COLOURS)]
         marker = _MARKERS[i % len(_MARKERS)]
-        size, alpha = (5.0, 0.85) if series.x.size <= _MANY else (2.5, 0.35)
+        size, alpha = (5.0, 0.85) if series.x.size <= _MANY else (3.0, 0.45)
         axes.plot(
             series.x, series.y, marker, color=colour, markersize=size, markeredgewidth=0, alpha=alpha,
             label=series.label,
