@@ -27,11 +27,20 @@ The initial errors are no data-sheet figures; they follow from the sensors and f
 
 Levelling and then drawing tilt and accelerometer bias apart from one another counts the same error twice: in a levelled
 system both cancel at first, and show once it turns. The grades keep to the worse of the two.
+
+Two more are those of the papers, as tabled and nothing added (no tilt, no initial velocity error: neither is printed):
+
+- paper_002: gyros 0.003 deg/h and 0.0015 deg/sqrt(h), accelerometers 25 ug and '5 ug/sqrt(hr)', read as 5 ug/sqrt(Hz)
+  = 0.0029 m/s/sqrt(h), 200 m on each axis. The other reading, a velocity walk of 5 ug times an hour, 0.177
+  m/s/sqrt(h), is run beside it by `terranav reproduce 002`.
+- paper_003: gyros 0.1 deg/h and accelerometers 1e-4 g, both read as constant biases (1-sigma), 0.003 degrees on each
+  axis, read as 0.003 degrees of latitude at 45 degrees, 333 m, both ways.
 """
 
 from __future__ import annotations
 
 from terranav.core.checks import unknown_name
+from terranav.core.earth import GRAVITY_MPS2, metres_per_degree
 from terranav.core.ins_grade import InsGrade
 
 GRADES: dict[str, InsGrade] = {
@@ -73,6 +82,24 @@ GRADES: dict[str, InsGrade] = {
             gyro_walk_deg_per_sqrt_h=0.15,
             accel_walk_mps_per_sqrt_h=0.06,
         ),
+        InsGrade(
+            name="paper_002",
+            position_sigma_m=200.0,
+            velocity_sigma_mps=0.0,
+            position_walk_m_per_sqrt_s=0.0,
+            gyro_bias_sigma_deg_per_h=0.003,
+            accel_bias_sigma_ug=25.0,
+            gyro_walk_deg_per_sqrt_h=0.0015,
+            accel_walk_mps_per_sqrt_h=5e-6 * GRAVITY_MPS2 * 60.0,
+        ),
+        InsGrade(
+            name="paper_003",
+            position_sigma_m=0.003 * float(metres_per_degree(45.0)[0]),
+            velocity_sigma_mps=0.0,
+            position_walk_m_per_sqrt_s=0.0,
+            gyro_bias_sigma_deg_per_h=0.1,
+            accel_bias_sigma_ug=100.0,
+        ),
     )
 }
 
@@ -83,7 +110,7 @@ def grade_named(name: str) -> InsGrade:
     Parameters
     ----------
     name : str
-        'navigation', 'tactical' or 'industrial'.
+        'navigation', 'tactical', 'industrial', 'paper_002' or 'paper_003'.
 
     Raises
     ------

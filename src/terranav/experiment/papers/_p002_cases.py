@@ -18,6 +18,7 @@ from terranav.experiment.stream import states
 from terranav.filters.hybrid import Hybrid, mixed_moments
 from terranav.filters.pointmass import PointMass
 from terranav.ins.drift import add_drift
+from terranav.ins.grades import grade_named
 from terranav.maps.fields import gaussian_map
 from terranav.maps.map import Map
 from terranav.maps.sample_dem import sample_map
@@ -70,14 +71,9 @@ class Terms:
 
     def ins(self) -> InsGrade:
         """The INS of Table 1."""
-        return InsGrade(
-            name="papers/002",
-            position_sigma_m=200.0,
+        return replace(
+            grade_named("paper_002"),
             velocity_sigma_mps=self.velocity_sigma_mps,
-            position_walk_m_per_sqrt_s=0.0,
-            gyro_bias_sigma_deg_per_h=0.003,
-            accel_bias_sigma_ug=25.0,
-            gyro_walk_deg_per_sqrt_h=0.0015,
             accel_walk_mps_per_sqrt_h=self.accel_walk_mps_per_sqrt_h,
         )
 

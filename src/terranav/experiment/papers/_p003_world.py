@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from terranav.core.earth import metres_per_degree, offset_m, shift
 from terranav.core.errors import ConfigError
-from terranav.core.ins_grade import InsGrade
 from terranav.core.records import Epoch, Measurement
 from terranav.experiment.papers.outcome import Setup
 from terranav.ins.drift import draw_drift
+from terranav.ins.grades import grade_named
 from terranav.maps.fields import gaussian_map
 from terranav.maps.map import Map
 from terranav.maps.sample_dem import sample_map
@@ -38,13 +38,7 @@ SPEED_MPS, STEP_S = 200.0, 2.0
 ERROR_DEG = 0.003
 ABOVE_M = 300.0
 DEGREE_M = float(metres_per_degree(45.0)[0])
-INS = InsGrade(
-    position_sigma_m=ERROR_DEG * DEGREE_M,
-    velocity_sigma_mps=0.0,
-    position_walk_m_per_sqrt_s=0.0,
-    gyro_bias_sigma_deg_per_h=0.1,
-    accel_bias_sigma_ug=100.0,
-)
+INS = grade_named("paper_003")
 
 
 @dataclass(frozen=True)
