@@ -15,8 +15,9 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator
 from terranav.core.records import Epoch, Estimate, Measurement, Prior, Status
 from terranav.experiment.stream import states, stream
+from terranav.filters._kalman import KalmanState
 from terranav.filters.heli_sitan import HeliSitan, correlation_length_m, fitted_planes
-from terranav.filters.sitan import Sitan, SitanState, fitted_plane
+from terranav.filters.sitan import Sitan, fitted_plane
 from terranav.maps.fields import gaussian_map, plane_map
 from terranav.maps.map import Map
 
@@ -76,7 +77,7 @@ def test_every_filter_of_the_bank_is_a_sitan_filter() -> None:
     assert 9 < len(begun.bank.mean_m) <= 400
     *_, state = states(bank_of, prior, epochs, RNG)
     for k in (0, 7, len(begun.bank.mean_m) - 1):
-        start = SitanState(prior, begun.bank.mean_m[k], begun.bank.cov_m2[k])
+        start = KalmanState(prior, begun.bank.mean_m[k], begun.bank.cov_m2[k])
         *_, alone = states(single, prior, epochs, RNG, resume=start)
         np.testing.assert_allclose(state.bank.mean_m[k], alone.mean_m, rtol=1e-6, atol=1e-5)
         np.testing.assert_allclose(state.bank.cov_m2[k], alone.cov_m2, rtol=1e-6, atol=1e-6)

@@ -14,7 +14,8 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator
 from terranav.core.records import Epoch, Estimate, Measurement, Prior, Status
-from terranav.filters.sitan import Sitan, SitanState, fitted_plane
+from terranav.filters._kalman import KalmanState
+from terranav.filters.sitan import Sitan, fitted_plane
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
 from tests.matchers.test_tercom import CHART, LAT0, LON0
@@ -56,7 +57,7 @@ def eastward(charts: tuple[Map, ...], error: FloatArray, n: int, sigma: float = 
     return stream
 
 
-def run(filter_: Sitan, stream: list[Epoch], state: SitanState | None = None) -> tuple[SitanState, list[Estimate]]:
+def run(filter_: Sitan, stream: list[Epoch], state: KalmanState | None = None) -> tuple[KalmanState, list[Estimate]]:
     """The last state and all estimates."""
     state = filter_.init(Prior.from_ins(filter_.ins), RNG) if state is None else state
     said = []

@@ -40,6 +40,7 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, started_over
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior, Status
 from terranav.filters._fading_surface import Memory, reframed
+from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.fading_memory import log_posterior, moments, recall
 from terranav.kernels.sampling import bilinear_lattice
 from terranav.maps.map import Map
@@ -125,9 +126,7 @@ class FadingMemory:
         count = self.readings
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise ConfigError(f"{self.label} readings is {count!r}, expected a whole number >= 1")
-        kinds = [chart.kind for chart in self.maps]
-        if not kinds or len(set(kinds)) != len(kinds):
-            raise ConfigError(f"{self.label} maps are of kinds {kinds}, expected one map of each kind that is measured")
+        one_map_a_kind(self.label, self.maps)
 
     @property
     def least_readings(self) -> int:

@@ -30,7 +30,9 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, started_over
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior, Status
-from terranav.filters.sitan import LEAST_PLACES, PATTERN, Sitan, SitanState
+from terranav.filters._kalman import KalmanState
+from terranav.filters._maps import one_map_a_kind
+from terranav.filters.sitan import LEAST_PLACES, PATTERN, Sitan
 from terranav.maps.map import Map
 from terranav.maps.noise import MOST_REPEATED, reading_sigma
 
@@ -56,7 +58,7 @@ class HeliSitanState:
 
     prior: Prior
     bank: Bank
-    tracker: SitanState | None = None
+    tracker: KalmanState | None = None
     unaided_m2: float = 0.0
     judgement: Judgement = field(default_factory=Judgement)
     start_s: float = math.nan
@@ -112,9 +114,7 @@ class HeliSitan:
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise ConfigError(f"heli_sitan {key} is {value!r}, expected a whole number >= {least}")
-        kinds = [chart.kind for chart in self.maps]
-        if not kinds or len(set(kinds)) != len(kinds):
-            raise ConfigError(f"heli_sitan maps are of kinds {kinds}, expected one map of each kind that is measured")
+        one_map_a_kind("heli_sitan", self.maps)
 
     def init(self, prior: Prior, rng: Generator) -> HeliSitanState:
         """Filters over the prior."""
@@ -189,7 +189,7 @@ class HeliSitan:
         start = distance2[inside] if prior.shape == "gaussian" else np.zeros(int(inside.sum()))
         return Bank(prior.mean_m + places[inside] @ axes.T, covs, start)
 
-    def _tracked(self, state: HeliSitanState, tracker: SitanState) -> HeliSitanState:
+    def _tracked(self, state: HeliSitanState, tracker: KalmanState) -> HeliSitanState:
         """The state with its tracking filter moved on; back to the bank when that is lost."""
         if tracker.judgement.status is not Status.LOST:
             return replace(state, tracker=tracker)
@@ -259,7 +259,7 @@ class HeliSitan:
         lead = 0.5 * (bank.residual[elsewhere] - bank.residual[best])
         if judgement.nis > self._judge.nis_degraded or (lead.size and float(lead.min()) < self.margin):
             return state
-        tracker = SitanState(
+        tracker = KalmanState(
             state.prior,
             bank.mean_m[best],
             bank.cov_m2[best],

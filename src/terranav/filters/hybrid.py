@@ -32,6 +32,7 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Posterior, Prior
+from terranav.filters._maps import one_map_a_kind
 from terranav.filters.pointmass import Grid, PointMass, PointMassState
 from terranav.kernels.grid import FLOOR, resample
 from terranav.maps.map import Map
@@ -93,9 +94,7 @@ class Hybrid:
     converged_sigma_m: float | None = None
 
     def __post_init__(self) -> None:
-        kinds = [chart.kind for chart in self.maps]
-        if not kinds or len(set(kinds)) != len(kinds):
-            raise ConfigError(f"hybrid maps are of kinds {kinds}, expected one map of each kind that is measured")
+        one_map_a_kind("hybrid", self.maps)
         if self.kurtosis not in KURTOSES:
             unknown_name("hybrid kurtosis", str(self.kurtosis), KURTOSES)
         if not isinstance(self.feedback, bool):

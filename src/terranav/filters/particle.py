@@ -28,6 +28,7 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
+from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.particle import systematic, weigh_cloud
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
@@ -101,9 +102,7 @@ class Particle:
         finite("particle outlier_scale", self.outlier_scale, above=1.0)
         if self.converged_sigma_m is not None:
             finite("particle converged_sigma_m", self.converged_sigma_m, above=0.0)
-        kinds = [chart.kind for chart in self.maps]
-        if not kinds or len(set(kinds)) != len(kinds):
-            raise ConfigError(f"particle maps are of kinds {kinds}, expected one map of each kind that is measured")
+        one_map_a_kind("particle", self.maps)
 
     def init(self, prior: Prior, rng: Generator) -> ParticleState:
         """A cloud drawn from the prior."""

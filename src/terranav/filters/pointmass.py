@@ -14,10 +14,11 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from terranav.core.checks import finite
-from terranav.core.errors import ConfigError, StateError
+from terranav.core.errors import StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
+from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.grid import FLOOR, diffuse, measure, resample, weigh
 from terranav.kernels.sampling import bilinear_lattice
 from terranav.maps.map import Map
@@ -118,9 +119,7 @@ class PointMass:
         for key in ("min_cell_m", "converged_sigma_m"):
             if getattr(self, key) is not None:
                 finite(f"pointmass {key}", getattr(self, key), above=0.0)
-        kinds = [entry.kind for entry in self.maps]
-        if not kinds or len(set(kinds)) != len(kinds):
-            raise ConfigError(f"pointmass maps are of kinds {kinds}, expected one map of each kind that is measured")
+        one_map_a_kind("pointmass", self.maps)
 
     def init(self, prior: Prior, rng: Generator) -> PointMassState:
         """The prior density on a grid that reaches 5.5 sigma (or the uniform prior's edge)."""

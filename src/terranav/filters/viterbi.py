@@ -43,6 +43,7 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._backpointers import History, Origins
+from terranav.filters._maps import one_map_a_kind
 from terranav.kernels import viterbi as kernel
 from terranav.kernels.sampling import bilinear_lattice
 from terranav.maps.map import Map
@@ -158,9 +159,7 @@ class Viterbi:
         finite("viterbi degrees_of_freedom", self.degrees_of_freedom, above=2.0)
         finite("viterbi outlier_share", self.outlier_share, minimum=0.0, maximum=0.5)
         finite("viterbi outlier_scale", self.outlier_scale, above=1.0)
-        kinds = [chart.kind for chart in self.maps]
-        if not kinds or len(set(kinds)) != len(kinds):
-            raise ConfigError(f"viterbi maps are of kinds {kinds}, expected one map of each kind that is measured")
+        one_map_a_kind("viterbi", self.maps)
 
     def init(self, prior: Prior, rng: Generator) -> ViterbiState:
         """The cells and their initial probabilities pi_i (eq. 7)."""
