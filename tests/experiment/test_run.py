@@ -208,6 +208,12 @@ def test_maps_that_miss_the_track() -> None:
         compare(["ins", "sitan"], flight(), elsewhere)
 
 
+def test_maps_that_do_not_overlap() -> None:
+    far = plane_map(0.0, 0.0, kind="gravity", centre_deg=(50.0, 50.0))
+    with pytest.raises(DataError, match=r"which the gravity map does not cover \(.* spans 4\d\.\d+ to 50"):
+        run("pointmass", flight(), [chart(), far])
+
+
 def test_a_part_of_the_track_off_the_map_is_a_warning() -> None:
     south, west, north, east = chart().bounds_deg
     half = chart().crop(south, west, 0.5 * (south + north), east)

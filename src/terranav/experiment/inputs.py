@@ -69,7 +69,7 @@ def prepare(
     Raises
     ------
     DataError
-        No map, no reading that a map can be compared with, or no map where the recording is.
+        No map, no reading that a map can be compared with, or a map that lies away from the recording.
 
     Warns
     -----
@@ -130,13 +130,15 @@ def _assumed_sigmas(rec: Recording) -> list[str]:
 
 
 def _check_cover(rec: Recording, maps: tuple[Map, ...], prior: Prior) -> list[str]:
-    """Raise DataError when the prior about the track meets no map; one line when the track leaves it."""
+    """Raise DataError when the prior about the track misses a map; one line when the track leaves them all."""
     mean, sigma = prior.mean_m, np.sqrt(np.diag(prior.cov_m2))
     north, east = (mean + _PROBES * sigma).T[:, :, None]
     reach = shift(rec.lat_deg, rec.lon_deg, -north, -east)
-    if not any(chart.covers(*reach).any() for chart in maps):
-        extents = "; ".join(f"{chart.name} spans {_extent(*chart.bounds_deg)}" for chart in maps)
-        raise DataError(f"{rec.name}: the track spans {_track_extent(rec)}, which no map covers ({extents})")
+    away = [chart for chart in maps if not chart.covers(*reach).any()]
+    if away:
+        extents = "; ".join(f"{chart.name} spans {_extent(*chart.bounds_deg)}" for chart in away)
+        which = "no map covers" if len(away) == len(maps) else f"the {away[0].kind} map does not cover"
+        raise DataError(f"{rec.name}: the track spans {_track_extent(rec)}, which {which} ({extents})")
     inside = np.any([chart.covers(rec.lat_deg, rec.lon_deg) for chart in maps], axis=0)
     share = float(np.mean(inside))
     return [] if share == 1.0 else [f"{rec.name}: the maps cover {100.0 * share:.1f} % of the indicated positions"]
