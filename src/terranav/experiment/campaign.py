@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -29,8 +28,8 @@ from terranav.experiment.run import run
 from terranav.experiment.scenario import Scenario
 from terranav.experiment.scenario_tables import NAME, NAME_EXPECTED, EstimatorTable, Table, key
 from terranav.experiment.simulate import simulate
-from terranav.experiment.validation import validated
-from terranav.io.files import existing_file, replacing
+from terranav.experiment.validation import toml_values, validated
+from terranav.io.files import replacing
 from terranav.maps.map import Map
 
 #: figures of one run, from Result.metrics
@@ -84,11 +83,7 @@ class Campaign(Table):
         ConfigError
             Naming the file, the table, the key, the value and what was expected.
         """
-        file = existing_file(path, "a campaign (.toml)", ConfigError)
-        try:
-            values = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-            raise ConfigError(f"{file}: is no TOML file ({error}), expected a campaign") from None
+        file, values = toml_values(path, "a campaign")
         return cls.from_dict({"name": file.stem, **values}, folder=file.parent, where=str(path))
 
     @classmethod

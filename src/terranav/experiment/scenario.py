@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +27,7 @@ from terranav.experiment.scenario_tables import (
     Table,
     key,
 )
-from terranav.experiment.validation import validated
+from terranav.experiment.validation import toml_values, validated
 from terranav.maps.map import Map
 
 SAMPLE = "sample"
@@ -82,13 +81,7 @@ class Scenario(Table):
         ConfigError
             Naming the file, the table, the key, the value and what was expected.
         """
-        from terranav.io.files import existing_file
-
-        file = existing_file(path, "a scenario (.toml)", ConfigError)
-        try:
-            values = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-            raise ConfigError(f"{file}: is no TOML file ({error}), expected a scenario") from None
+        file, values = toml_values(path, "a scenario")
         return cls.from_dict({"name": file.stem, **values}, folder=file.parent, where=str(path))
 
     @classmethod

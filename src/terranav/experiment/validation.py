@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -96,3 +98,14 @@ def _shown(value: Any) -> str:
     """A value as TOML would write it, shortened."""
     text = json.dumps(value, default=str, ensure_ascii=False)
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
+
+
+def toml_values(path: str | Path, what: str) -> tuple[Path, dict[str, Any]]:
+    """The file at `path` and its tables; ConfigError where it is missing or no TOML. `what` is what was expected."""
+    from terranav.io.files import existing_file
+
+    file = existing_file(path, f"{what} (.toml)", ConfigError)
+    try:
+        return file, tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise ConfigError(f"{file}: is no TOML file ({error}), expected {what}") from None
