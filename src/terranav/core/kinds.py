@@ -27,6 +27,12 @@ class Kind:
         Smallest and largest map value that occurs on Earth [unit]; outside it the unit is suspect.
     default_sigma : float
         1-sigma [unit] assumed, with a warning, when a recording states none.
+    bias_sigma : float
+        1-sigma of an error common to all readings of a run that estimators with a bias state allow for [unit]:
+        barometer and vertical datum (m), tide, draught and sound speed (m), the reference of a gravity survey (mGal),
+        main field and vehicle (nT).
+    bias_walk : float
+        Random walk of that error [unit/sqrt(s)]: weather, tide, drift of the gravimeter, daily variation.
     """
 
     name: str
@@ -36,15 +42,17 @@ class Kind:
     sign: int
     plausible: tuple[float, float]
     default_sigma: float
+    bias_sigma: float
+    bias_walk: float
 
 
 KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
-        Kind("terrain", "m", "terrain_m", "terrain_sigma_m", 1, (-450.0, 8900.0), 5.0),
-        Kind("bathymetry", "m", "depth_m", "depth_sigma_m", -1, (-11100.0, 8900.0), 10.0),
-        Kind("gravity", "mGal", "gravity_mgal", "gravity_sigma_mgal", 1, (-1000.0, 1000.0), 2.0),
-        Kind("magnetic", "nT", "magnetic_nt", "magnetic_sigma_nt", 1, (-70000.0, 70000.0), 20.0),
+        Kind("terrain", "m", "terrain_m", "terrain_sigma_m", 1, (-450.0, 8900.0), 5.0, 15.0, 0.05),
+        Kind("bathymetry", "m", "depth_m", "depth_sigma_m", -1, (-11100.0, 8900.0), 10.0, 5.0, 0.02),
+        Kind("gravity", "mGal", "gravity_mgal", "gravity_sigma_mgal", 1, (-1000.0, 1000.0), 2.0, 20.0, 0.01),
+        Kind("magnetic", "nT", "magnetic_nt", "magnetic_sigma_nt", 1, (-70000.0, 70000.0), 20.0, 50.0, 0.3),
     )
 }
 

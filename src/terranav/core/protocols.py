@@ -6,7 +6,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 from numpy.random import Generator
 
-from terranav.core.records import Candidates, Epoch, Estimate, Posterior, Prior, Profile
+from terranav.core.records import Candidates, Epoch, Estimate, Innovation, Posterior, Prior, Profile
 
 S = TypeVar("S")
 S_contra = TypeVar("S_contra", contravariant=True)
@@ -38,6 +38,27 @@ class ShowsPosterior(Protocol[S_contra]):
 
     def posterior(self, state: S_contra) -> Posterior | None:
         """Distribution of the INS error at the last epoch, None where there is nothing to draw."""
+        ...
+
+
+@runtime_checkable
+class Watched(Estimator[S], Protocol[S]):
+    """An estimator that an integrity monitor can watch, correct and start anew; it has a Posterior to show, too."""
+
+    def innovations(self, state: S) -> tuple[Innovation, ...]:
+        """Of the readings of the last epoch, in their order; empty where it had none that a map answers."""
+        ...
+
+    def restarted(self, state: S, prior: Prior, rng: Generator) -> S:
+        """The state with everything forgotten but the clock and the excluded kinds; `prior` holds at its last epoch."""
+        ...
+
+    def excluding(self, state: S, kinds: frozenset[str]) -> S:
+        """The state that compares readings of these kinds as before, but does not let them move the estimate."""
+        ...
+
+    def posterior(self, state: S) -> Posterior:
+        """Distribution of the INS error at the last epoch."""
         ...
 
 

@@ -144,6 +144,13 @@ class Estimate:
     nis : float
         Normalised innovation squared per reading, averaged over the latest readings; 1 when they are as noisy as told,
         NaN before any. Not every method has it.
+    protection_m : float
+        Horizontal protection level: the error exceeds it with at most the declared risk [m]; NaN where no integrity
+        monitor watches.
+    usable : bool
+        Whether the integrity monitor offers this position as a fix; False where none watches.
+    reasons : tuple of str
+        Why the status is what it is, and why a fix is withheld, in words.
     """
 
     time_s: float
@@ -154,6 +161,9 @@ class Estimate:
     cov_m2: FloatArray
     status: Status
     nis: float = float("nan")
+    protection_m: float = float("nan")
+    usable: bool = False
+    reasons: tuple[str, ...] = ()
 
     @classmethod
     def at(
@@ -167,6 +177,39 @@ class Estimate:
         """The estimate that corrects the indicated position of `epoch` by an estimated INS error."""
         lat, lon = shifted(epoch.lat_deg, epoch.lon_deg, -float(ins_error_m[0]), -float(ins_error_m[1]))
         return cls(epoch.time_s, lat, lon, epoch.alt_m, ins_error_m, cov_m2, status, nis)
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """What one reading was against what was expected of it: the raw material of integrity.
+
+    Attributes
+    ----------
+    kind : str
+        Of the map it was compared with.
+    residual : float
+        Reading minus its predicted mean [the kind's unit].
+    variance : float
+        Predicted variance of that, the spread of the position included [unit^2].
+    noise : float
+        Part of the variance that is sensor and map, without the position's spread and the bias [unit^2].
+    known : float
+        Share of the predicted positions where the map says something; below one half nothing was compared.
+    used : bool
+        Whether the reading was allowed to move the estimate.
+    """
+
+    kind: str
+    residual: float
+    variance: float
+    noise: float
+    known: float = 1.0
+    used: bool = True
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared: 1 on average when the reading is as noisy as told."""
+        return self.residual**2 / self.variance
 
 
 @dataclass(frozen=True)

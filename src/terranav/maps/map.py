@@ -20,6 +20,10 @@ from terranav.maps.frame import LocalFrame, fitted_frame, geographic_frame
 FloatArray = NDArray[np.float64]
 Method = Literal["bilinear", "bicubic"]
 
+#: correlation length of a map's error [cells] where nothing better is known: what the ship's soundings show against a
+#: 15 arcsec relief and its gravimeter against a 2.5 arcmin field, once the error common to the whole cruise is out
+CORRELATION_CELLS = 2.5
+
 
 @dataclass(frozen=True, eq=False)
 class Map:
@@ -42,6 +46,9 @@ class Map:
         1-sigma of the map error, same unit, >= 0.
     datum : str or None
         Vertical datum, where known.
+    correlation_m : float or None
+        Correlation length of the map error, covariance sigma^2 exp(-distance / correlation_m), > 0 [m]; None is
+        `CORRELATION_CELLS` cells.
     source, name : str
         Where it came from, and what to call it.
     """
@@ -55,12 +62,15 @@ class Map:
     datum: str | None = None
     source: str = ""
     name: str = "map"
+    correlation_m: float | None = None
 
     def __post_init__(self) -> None:
         kind = kind_named(self.kind)
         if self.unit != kind.unit:
             raise ConfigError(f"{self.name}: unit is {self.unit!r}, expected {kind.unit!r} for a {self.kind} map")
         object.__setattr__(self, "sigma", finite(f"{self.name}: map sigma", self.sigma, minimum=0.0))
+        if self.correlation_m is not None:
+            finite(f"{self.name}: map correlation_m", self.correlation_m, above=0.0)
         values = np.array(self.values, dtype=np.float32, order="C")
         if values.ndim != 2 or min(values.shape) < 2:
             shape = " x ".join(str(size) for size in values.shape)
@@ -236,6 +246,11 @@ class Map:
         """Geometric mean of a cell's two sides in the middle of the map [m]."""
         frame = self.local_frame(*self.centre_deg, radius_m=100.0)
         return float(abs(frame.row[1] * frame.col[2] - frame.row[2] * frame.col[1]) ** -0.5)
+
+    @property
+    def error_length_m(self) -> float:
+        """Correlation length of the map error [m]."""
+        return CORRELATION_CELLS * self.cell_m if self.correlation_m is None else self.correlation_m
 
     @cached_property
     def bounds_deg(self) -> tuple[float, float, float, float]:

@@ -1,0 +1,281 @@
+"""Marginalised particles: rows of a cloud are (position error north, east, conditional means of the linear states)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from terranav.kernels.fastmath import fast_exp
+from terranav.kernels.jit import jit
+from terranav.kernels.sampling import bilinear_at
+
+BINS = 48  # per axis, of the histogram that measures a cloud's area
+
+
+@jit
+def advance(cloud, weight, phi, spread, noise, out):
+    """Move every particle: out[k] = phi cloud[k] + spread noise*[k].
+
+    noise* are the given normal numbers, shifted and mixed to mean zero, unit covariance, and none in common with the
+    predicted positions, all under the weights: so the cloud's position covariance grows by exactly spread spread'.
+
+    Parameters
+    ----------
+    cloud : (m, d) float64
+    weight : (m,) float64, sums to one
+    phi : (d, d) float64
+    spread : (d, 2) float64
+    noise : (m, 2) float64, standard normal
+    out : (m, d) float64, written
+    """
+    m, d = cloud.shape
+    s = np.zeros(14)  # weighted sums: p (2), n (2), pp (3), nn (3), np (4)
+    for k in range(m):
+        for i in range(d):
+            total = 0.0
+            for j in range(d):
+                total += phi[i, j] * cloud[k, j]
+            out[k, i] = total
+        w, a, b, u, v = weight[k], out[k, 0], out[k, 1], noise[k, 0], noise[k, 1]
+        s[0] += w * a
+        s[1] += w * b
+        s[2] += w * u
+        s[3] += w * v
+        s[7] += w * u * u
+        s[8] += w * u * v
+        s[9] += w * v * v
+    for k in range(m):  # about the mean, or the squares of far positions swamp the products
+        w, a, b, u, v = weight[k], out[k, 0] - s[0], out[k, 1] - s[1], noise[k, 0] - s[2], noise[k, 1] - s[3]
+        s[4] += w * a * a
+        s[5] += w * a * b
+        s[6] += w * b * b
+        s[10] += w * u * a
+        s[11] += w * u * b
+        s[12] += w * v * a
+        s[13] += w * v * b
+    nn, nv, vv = s[7] - s[2] * s[2], s[8] - s[2] * s[3], s[9] - s[3] * s[3]
+    det = s[4] * s[6] - s[5] * s[5]
+    ua, ub, va, vb = 0.0, 0.0, 0.0, 0.0
+    if det > 1e-10 * (s[4] + s[6]) ** 2:
+        ua, ub = (s[10] * s[6] - s[11] * s[5]) / det, (s[11] * s[4] - s[10] * s[5]) / det
+        va, vb = (s[12] * s[6] - s[13] * s[5]) / det, (s[13] * s[4] - s[12] * s[5]) / det
+        nn -= ua * s[10] + ub * s[11]
+        nv -= 0.5 * (ua * s[12] + ub * s[13] + va * s[10] + vb * s[11])
+        vv -= va * s[12] + vb * s[13]
+    first = 1.0 / math.sqrt(max(nn, 1e-3))  # Cholesky: u* = u / sqrt(nn), v* = (v - u nv / nn) / sqrt(rest)
+    slope = nv * first * first
+    second = 1.0 / math.sqrt(max(vv - nv * slope, 1e-3))
+    for k in range(m):
+        a, b = out[k, 0] - s[0], out[k, 1] - s[1]
+        u = noise[k, 0] - s[2] - ua * a - ub * b
+        v = noise[k, 1] - s[3] - va * a - vb * b
+        v = (v - slope * u) * second
+        u *= first
+        for i in range(d):
+            out[k, i] += spread[i, 0] * u + spread[i, 1] * v
+
+
+@jit
+def compare(values, frame, cloud, state, residual, slope2):
+    """What a reading leaves at each particle, and how steep the map is there.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32, the map, NaN where void
+    frame : (2, 6) float64, row and column coefficients of the LocalFrame at the indicated position
+    cloud : (m, d) float64
+    state : (2,) float64, the reading's value and the index of its bias, the patch being the next
+    residual : (m,) written: value - map - bias - patch, NaN where the map says nothing
+    slope2 : (m,) written: squared slope of the map [unit^2/m^2]
+    """
+    r0, r1, r2, r3, r4, r5 = frame[0]
+    c0, c1, c2, c3, c4, c5 = frame[1]
+    rows, cols = values.shape
+    flat, width = values.reshape(values.size), np.int64(cols)
+    top, right = rows - 1.0, cols - 1.0
+    value, bias = state[0], int(state[1])
+    for k in range(residual.size):
+        n, e = -cloud[k, 0], -cloud[k, 1]
+        row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
+        col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
+        inside = (row >= 0.0) & (row <= top) & (col >= 0.0) & (col <= right)
+        row, col = (row if row > 0.0 else 0.0), (col if col > 0.0 else 0.0)
+        y, x = np.int64(min(row, top - 1.0)), np.int64(min(col, right - 1.0))
+        u, v = min(row, top) - y, min(col, right) - x
+        at = np.uint64(y * width + x)
+        below = at + np.uint64(width)
+        one, two = np.float64(flat[at]), np.float64(flat[at + np.uint64(1)])
+        three, four = np.float64(flat[below]), np.float64(flat[below + np.uint64(1)])
+        low, high = one + v * (two - one), three + v * (four - three)
+        by_row, by_col = high - low, (1.0 - u) * (two - one) + u * (four - three)
+        north, east = by_row * r1 + by_col * c1, by_row * r2 + by_col * c2
+        h = low + u * by_row
+        residual[k] = value - h - cloud[k, bias] - cloud[k, bias + 1] if inside else np.nan
+        slope2[k] = north * north + east * east
+    for k in range(residual.size):
+        if residual[k] != residual[k]:
+            n, e = -cloud[k, 0], -cloud[k, 1]
+            row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
+            col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
+            residual[k] = value - bilinear_at(values, row, col) - cloud[k, bias] - cloud[k, bias + 1]
+            slope2[k] = 0.0 if slope2[k] != slope2[k] else slope2[k]
+
+
+@jit
+def predicted(weight, residual, slope2, noise, blur2, common):
+    """Known share, mean and variance of the residual under the weights, and the mean of its white part."""
+    known, mean, square, white = 0.0, 0.0, 0.0, 0.0
+    for k in range(weight.size):
+        r, w = residual[k], weight[k]
+        there = r == r
+        w = w if there else 0.0
+        r = r if there else 0.0
+        known += w
+        mean += w * r
+        square += w * r * r
+        white += w * (noise + blur2 * slope2[k])
+    if known <= 0.0:
+        return 0.0, np.nan, np.nan, np.nan
+    mean, white = mean / known, white / known
+    return known, mean, max(square / known - mean * mean, 0.0) + white + common, white
+
+
+@jit
+def weigh(cloud, weight, residual, slope2, noise, blur2, common, gain, outliers, out_cloud, out_weight):
+    """Multiply the weights by the likelihood of a reading and update the conditional means.
+
+    Parameters
+    ----------
+    cloud, weight : the particles before
+    residual, slope2 : of `compare`
+    noise, blur2 : variance of the white noise is noise + blur2 slope2 [unit^2], [m^2]
+    common : variance that bias and patch add, equal for all particles [unit^2]
+    gain : (d,) covariance of the linear states with bias + patch
+    outliers : (2,) the white part is, with this probability, this many times larger in sigma
+    out_cloud, out_weight : written
+
+    Returns
+    -------
+    total : mean likelihood of the known particles, 0 when the reading contradicts every one and nothing was changed
+    effective : 1 / sum(w^2) of the new weights
+    shrink, widen : the common covariance becomes C - (shrink - widen) gain gain'
+    """
+    m, d = cloud.shape
+    share, scale2 = outliers[0], outliers[1] * outliers[1]
+    total, known = 0.0, 0.0
+    for k in range(m):
+        r = residual[k]
+        there = r == r
+        r = r if there else 0.0
+        white = noise + blur2 * slope2[k]
+        narrow, wide = 1.0 / (white + common), 1.0 / (scale2 * white + common)
+        near = (1.0 - share) * math.sqrt(narrow) * fast_exp(-0.5 * r * r * narrow)
+        far = share * math.sqrt(wide) * fast_exp(-0.5 * r * r * wide)
+        likely = near + far
+        p = weight[k] * likely
+        out_weight[k] = p if there else -1.0
+        total += p if there else 0.0
+        known += weight[k] if there else 0.0
+    if not total > 1e-280:
+        out_cloud[:] = cloud
+        out_weight[:] = weight
+        power = 0.0
+        for k in range(m):
+            power += weight[k] * weight[k]
+        return 0.0, 1.0 / power, 0.0, 0.0
+    average = total / known
+    norm = 1.0 / (total + average * (1.0 - known))
+    power, shrink, widen = 0.0, 0.0, 0.0
+    for k in range(m):
+        r = residual[k]
+        there = out_weight[k] >= 0.0
+        p = norm * (out_weight[k] if there else weight[k] * average)
+        out_weight[k] = p
+        power += p * p
+        white = noise + blur2 * slope2[k]
+        narrow, wide = 1.0 / (white + common), 1.0 / (scale2 * white + common)
+        r = r if there else 0.0
+        near = (1.0 - share) * math.sqrt(narrow) * fast_exp(-0.5 * r * r * narrow)
+        far = share * math.sqrt(wide) * fast_exp(-0.5 * r * r * wide)
+        inlier = near / max(near + far, 1e-300)
+        pull = (inlier * narrow + (1.0 - inlier) * wide) if there else 0.0
+        step = r * pull
+        for i in range(d):
+            out_cloud[k, i] = cloud[k, i] + gain[i] * step
+        shrink += p * pull
+        jump = r * (narrow - wide)
+        widen += p * inlier * (1.0 - inlier) * jump * jump
+    return average, 1.0 / power, shrink, widen
+
+
+@jit
+def moments(cloud, weight):
+    """Mean (d,) and covariance (d, d) of the rows under the weights."""
+    m, d = cloud.shape
+    mean, cov = np.zeros(d), np.zeros((d, d))
+    for k in range(m):
+        for i in range(d):
+            mean[i] += weight[k] * cloud[k, i]
+    away = np.empty(d)
+    for k in range(m):
+        for i in range(d):
+            away[i] = cloud[k, i] - mean[i]
+        for i in range(d):
+            scaled = weight[k] * away[i]
+            for j in range(i + 1):
+                cov[i, j] += scaled * away[j]
+    for i in range(d):
+        for j in range(i):
+            cov[j, i] = cov[i, j]
+    return mean, cov
+
+
+@jit
+def area(cloud, weight):
+    """Area that the positions cover: exp(entropy) of their histogram times its bin [m^2]."""
+    m = weight.size
+    low_n, high_n, low_e, high_e = np.inf, -np.inf, np.inf, -np.inf
+    floor = 1e-4 / m
+    for k in range(m):
+        if weight[k] > floor:
+            low_n, high_n = min(low_n, cloud[k, 0]), max(high_n, cloud[k, 0])
+            low_e, high_e = min(low_e, cloud[k, 1]), max(high_e, cloud[k, 1])
+    step_n, step_e = (high_n - low_n) / BINS + 1e-9, (high_e - low_e) / BINS + 1e-9
+    mass = np.zeros((BINS, BINS))
+    for k in range(m):
+        if weight[k] > floor:
+            i, j = int((cloud[k, 0] - low_n) / step_n), int((cloud[k, 1] - low_e) / step_e)
+            mass[min(i, BINS - 1), min(j, BINS - 1)] += weight[k]
+    entropy = 0.0
+    for i in range(BINS):
+        for j in range(BINS):
+            if mass[i, j] > 0.0:
+                entropy -= mass[i, j] * math.log(mass[i, j])
+    return math.exp(entropy) * step_n * step_e
+
+
+@jit
+def resampled(cloud, weight, offset, centre, keep, spread, noise, out):
+    """Systematic resampling to equal weights with a kernel: out[k] = centre + keep (chosen - centre) + spread noise[k].
+
+    Parameters
+    ----------
+    cloud : (m, d), weight : (m,) that sums to one
+    offset : float in [0, 1)
+    centre : (d,) mean of the cloud
+    keep : float, how far the particles are drawn towards the mean, to make room for the kernel
+    spread : (d, 2), noise : (n, 2) standard normal
+    out : (n, d) written; n need not be m
+    """
+    m, d = cloud.shape
+    n = len(out)
+    source, reached = 0, weight[0]
+    for k in range(n):
+        level = (k + offset) / n
+        while reached <= level and source < m - 1:
+            source += 1
+            reached += weight[source]
+        for i in range(d):
+            away = keep * (cloud[source, i] - centre[i])
+            out[k, i] = centre[i] + away + spread[i, 0] * noise[k, 0] + spread[i, 1] * noise[k, 1]
