@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from terranav.maps.map import Map
     from terranav.maps.sample_dem import sample_map
     from terranav.matchers.windowed import Windowed
+    from terranav.planning.bound import Bound, bound
 
 _HOME = {
     "core.errors": ("ConfigError", "DataError", "DataWarning", "StateError", "TerranavError"),
@@ -72,10 +73,12 @@ _HOME = {
     "maps.map": ("Map",),
     "maps.sample_dem": ("sample_map",),
     "matchers.windowed": ("Windowed",),
+    "planning.bound": ("Bound", "bound"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
+    "Bound",
     "Candidates",
     "ConfigError",
     "DataError",
@@ -99,6 +102,7 @@ __all__ = [
     "Windowed",
     "__version__",
     "add_drift",
+    "bound",
     "compare",
     "estimators",
     "make_estimator",
