@@ -69,6 +69,32 @@ def test_consistency_edges() -> None:
     assert certain["contained_95"] == 0.0
 
 
+def test_integrity_by_hand() -> None:
+    protection = np.array([6.0, 9.0, 20.0, 30.0, np.nan])  # against distances 5, 10, -, 10, 0
+    usable = np.array([True, True, True, False, False])
+    assert metrics.integrity(ERRORS, protection, usable) == {
+        "available": 0.6,
+        "protection_m": 9.0,
+        "misleading": 0.5,  # the second; the third is not known, the fourth was withheld
+    }
+    blind = metrics.integrity(np.full((5, 2), np.nan), protection, usable)
+    assert (blind["available"], blind["protection_m"]) == (0.6, 9.0)
+    assert math.isnan(blind["misleading"])
+
+
+def test_integrity_edges() -> None:
+    withheld = metrics.integrity(ERRORS, np.full(5, 7.0), np.zeros(5, dtype=bool))
+    assert withheld["available"] == 0.0
+    assert math.isnan(withheld["protection_m"])
+    assert math.isnan(withheld["misleading"])
+    unwatched = metrics.integrity(ERRORS, np.full(5, np.nan), np.zeros(5, dtype=bool))
+    assert all(math.isnan(value) for value in unwatched.values())
+    endless = metrics.integrity(ERRORS, np.full(5, np.inf), np.ones(5, dtype=bool))
+    assert endless == {"available": 1.0, "protection_m": math.inf, "misleading": 0.0}
+    nothing = metrics.integrity(np.empty((0, 2)), np.empty(0), np.empty(0, dtype=bool))
+    assert all(math.isnan(value) for value in nothing.values())
+
+
 def test_times_by_hand() -> None:
     time_s = np.array([10.0, 11.0, 13.0, 16.0, 20.0])
     status = np.array(["searching", "lost", "converged", "lost", "lost"])

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terranav.core.errors import ConfigError, DataError
-from terranav.core.records import Posterior
+from terranav.core.records import Estimate, Posterior, Status
 from terranav.experiment.result import Result
 from terranav.experiment.run import run
-from terranav.io.results import write_result_table
+from terranav.io.results import read_result_table, write_result_table
 from tests.experiment.helpers import chart, flight, without_truth
 
 
@@ -94,8 +94,10 @@ def assert_same(first: Result, second: Result) -> None:
     for key in ("estimator", "name", "provenance"):
         assert getattr(first, key) == getattr(second, key)
     assert first.map_cell_m == second.map_cell_m or math.isnan(first.map_cell_m + second.map_cell_m)
-    for key in ("time_s", "lat_deg", "status", "ins_error_m", "cov_m2", "nis", "indicated_lon_deg", "true_lat_deg"):
+    arrays = ("time_s", "lat_deg", "status", "ins_error_m", "cov_m2", "nis", "indicated_lon_deg", "true_lat_deg")
+    for key in (*arrays, "protection_m", "usable"):
         np.testing.assert_array_equal(getattr(first, key), getattr(second, key))
+    assert first.reasons == second.reasons
 
 
 def test_file_gives_back_every_bit(tmp_path: Path) -> None:
@@ -135,6 +137,51 @@ def test_any_numbers_come_back(values: list[float], shape: str | None) -> None:
         np.testing.assert_array_equal(loaded.posterior.weight, posterior.weight)
 
 
+def watched(**changes: object) -> Result:
+    """The same four epochs with an integrity monitor."""
+    told = {
+        "protection_m": np.array([np.nan, np.inf, 45.0, 45.0]),
+        "usable": np.array([False, False, True, True]),
+        "reasons": ((), ("lost: \0 odd \u00e9", "withheld"), (), ()),
+    }
+    return made(**{**told, **changes})
+
+
+def test_what_the_monitor_said_comes_back(tmp_path: Path) -> None:
+    watched().save(tmp_path / "r.parquet")
+    loaded = Result.load(tmp_path / "r.parquet")
+    assert_same(watched(), loaded)
+    assert loaded.usable.dtype == np.bool_
+    assert loaded.watched
+    figures = loaded.metrics()
+    assert (figures["available"], figures["protection_m"], figures["misleading"]) == (0.5, 45.0, 0.5)
+
+
+def test_estimates_bring_what_the_monitor_said() -> None:
+    rec = flight()
+    estimates = [
+        Estimate(t, 45.0, 10.0, 0.0, np.zeros(2), np.eye(2), Status.CONVERGED, 1.0, 5.0 + k, k > 2, (f"why {k}",))
+        for k, t in enumerate(rec.time_s.tolist())
+    ]
+    result = Result.from_estimates("made", estimates, rec)
+    assert result.protection_m[:3].tolist() == [5.0, 6.0, 7.0]
+    assert result.usable[:4].tolist() == [False, False, False, True]
+    assert result.reasons[1] == ("why 1",)
+
+
+def test_without_a_monitor(tmp_path: Path) -> None:
+    assert not made().watched
+    assert made().reasons == ((),) * 4
+    assert not made().usable.any()
+    assert math.isnan(made().metrics()["available"])
+    made().save(tmp_path / "new.parquet")
+    columns, metadata = read_result_table(tmp_path / "new.parquet")
+    old = {key: value for key, value in columns.items() if key not in ("protection_m", "usable", "reasons")}
+    facts = {key: value for key, value in json.loads(metadata["terranav"]).items() if key != "reasons"}
+    write_result_table(tmp_path / "old.parquet", old, {"terranav": json.dumps(facts)})
+    assert_same(Result.load(tmp_path / "old.parquet"), made())
+
+
 def test_digest_sees_every_array() -> None:
     assert made().digest() == made(provenance={}, name="other").digest()
     changed = {
@@ -146,6 +193,16 @@ def test_digest_sees_every_array() -> None:
     }
     for key, value in changed.items():
         assert made(**{key: value}).digest() != made().digest(), key
+    assert watched().digest() != made().digest()
+    said: dict[str, object] = {
+        "protection_m": np.array([np.nan, np.inf, 45.0, np.nextafter(45.0, 46.0)]),
+        "usable": np.array([False, False, True, False]),
+        "reasons": ((), ("lost: \0 odd \u00e9", "Withheld"), (), ()),
+    }
+    for key, told in said.items():
+        assert watched(**{key: told}).digest() != watched().digest(), key
+    shifted = watched(reasons=((), (), ("lost: \0 odd \u00e9", "withheld"), ()))
+    assert shifted.digest() != watched().digest()
 
 
 def test_load_refuses(tmp_path: Path) -> None:

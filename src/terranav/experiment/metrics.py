@@ -6,6 +6,7 @@ and a figure that has no epoch to stand on is NaN.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,34 @@ def consistency(error_m: FloatArray, cov_m2: FloatArray) -> dict[str, float]:
     squared = np.divide(scaled, det, out=np.full(det.size, np.inf), where=det > 0.0)  # certainty cannot be right
     nees = float(squared.mean())
     return {"nees": nees, "nees_per_axis": nees / 2.0, "contained_95": float(np.mean(squared <= CHI2_95_2DOF))}
+
+
+def integrity(error_m: FloatArray, protection_m: FloatArray, usable: NDArray[np.bool_]) -> dict[str, float]:
+    """Whether the fixes that were offered could be relied on.
+
+    Parameters
+    ----------
+    error_m : (n, 2) [m]
+    protection_m : (n,) [m]
+        NaN everywhere when no integrity monitor watched; then every figure is NaN.
+    usable : (n,) bool
+
+    Returns
+    -------
+    dict
+        available (share of epochs with a usable fix), protection_m (median protection level of those), misleading (of
+        those with truth, the share whose error exceeds the protection level).
+    """
+    if np.isnan(protection_m).all():
+        return dict.fromkeys(("available", "protection_m", "misleading"), math.nan)
+    offered = usable & ~np.isnan(protection_m)
+    judged = offered & _known(error_m)
+    beyond = np.hypot(error_m[judged, 0], error_m[judged, 1]) > protection_m[judged]
+    return {
+        "available": float(np.mean(usable)),
+        "protection_m": float(np.median(protection_m[offered])) if offered.any() else math.nan,
+        "misleading": float(np.mean(beyond)) if judged.any() else math.nan,
+    }
 
 
 def first_fix_s(time_s: FloatArray, status: NDArray[Any]) -> float:

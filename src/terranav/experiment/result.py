@@ -60,6 +60,12 @@ class Result:
         'platform' say how this run went; the rest is what it takes to make it again.
     name : str
         Of the recording.
+    protection_m : (n,) [m]
+        Horizontal protection level, NaN where no integrity monitor watched.
+    usable : (n,) bool
+        Whether the position was offered as a fix; False where none watched.
+    reasons : n tuples of texts
+        Why each status is what it is, and why a fix was withheld. These three may be left empty: nobody watched.
     """
 
     estimator: str
@@ -79,6 +85,17 @@ class Result:
     map_cell_m: float = math.nan
     provenance: dict[str, Any] = field(default_factory=dict)
     name: str = "recording"
+    protection_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    usable: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
+    reasons: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.protection_m) == 0:
+            object.__setattr__(self, "protection_m", np.full(len(self), np.nan))
+        if len(self.usable) == 0:
+            object.__setattr__(self, "usable", np.zeros(len(self), dtype=np.bool_))
+        if len(self.reasons) == 0:
+            object.__setattr__(self, "reasons", ((),) * len(self))
 
     @classmethod
     def from_estimates(cls, estimator: str, estimates: Sequence[Estimate], rec: Recording, **rest: Any) -> Result:
@@ -111,6 +128,9 @@ class Result:
             true_lat_deg=true_lat_deg,
             true_lon_deg=true_lon_deg,
             name=rec.name,
+            protection_m=np.array([e.protection_m for e in estimates], dtype=np.float64),
+            usable=np.array([e.usable for e in estimates], dtype=np.bool_),
+            reasons=tuple(e.reasons for e in estimates),
             **rest,
         )
 
@@ -121,6 +141,11 @@ class Result:
     def has_truth(self) -> bool:
         """Whether the true position is known at any epoch."""
         return self.true_lat_deg is not None and bool(np.isfinite(self.true_lat_deg).any())
+
+    @property
+    def watched(self) -> bool:
+        """Whether an integrity monitor gave a protection level at any epoch."""
+        return not bool(np.isnan(self.protection_m).all())
 
     @property
     def error_m(self) -> FloatArray:
@@ -150,8 +175,9 @@ class Result:
         -------
         dict
             n, drms_m, cep_m, r95_m, mean_m, max_m, final_m, match_rate (see `metrics.accuracy`), nees, nees_per_axis,
-            contained_95 (see `metrics.consistency`), lost_s (time with status 'lost'), and first_fix_s, which always
-            counts from the start of the run. Without truth the accuracy figures are NaN and n is 0.
+            contained_95 (see `metrics.consistency`), available, protection_m, misleading (see `metrics.integrity`),
+            lost_s (time with status 'lost'), and first_fix_s, which always counts from the start of the run. Without
+            truth the accuracy figures are NaN and n is 0.
         """
         start_s = finite("since_s", since_s, minimum=0.0)
         first_fix_s = metrics.first_fix_s(self.time_s, self.status)
@@ -162,6 +188,7 @@ class Result:
         figures = {
             **metrics.accuracy(self.error_m[kept], limit_m),
             **metrics.consistency(self.error_m[kept], self.cov_m2[kept]),
+            **metrics.integrity(self.error_m[kept], self.protection_m[kept], self.usable[kept]),
             "first_fix_s": first_fix_s,
             "lost_s": metrics.time_with_status_s(self.time_s[kept], self.status[kept], Status.LOST),
         }
@@ -177,6 +204,7 @@ class Result:
         for array in (*self._columns().values(), *grids):
             digest.update(f"{array.dtype.kind}{array.shape}".encode())
             digest.update("\0".join(array.tolist()).encode() if array.dtype.kind == "U" else array.tobytes())
+        digest.update(json.dumps(self._distinct_reasons).encode())
         return digest.hexdigest()
 
     def save(self, path: str | Path) -> None:
@@ -195,6 +223,7 @@ class Result:
             "name": self.name,
             "map_cell_m": None if math.isnan(self.map_cell_m) else self.map_cell_m,
             "provenance": self.provenance,
+            "reasons": self._distinct_reasons,
         }
         metadata = {"terranav": json.dumps(facts).encode()}
         if self.posterior is not None:
@@ -218,16 +247,17 @@ class Result:
             if facts["format"] != _FORMAT:
                 raise DataError(f"{path}: the format is {facts['format']!r}, expected {_FORMAT!r}")
             cell_m = facts["map_cell_m"]
+            arrays: dict[str, Any] = {key: columns[key] for key in _PLAIN}
             return cls(
                 estimator=facts["estimator"],
-                **{key: columns[key] for key in _PLAIN},
-                **{key: columns[key] for key in _TRUTH if key in columns},
+                **arrays | {key: columns[key] for key in _TRUTH if key in columns},
                 ins_error_m=np.stack([columns["ins_error_north_m"], columns["ins_error_east_m"]], axis=1),
                 cov_m2=np.stack([columns[key] for key in _COVARIANCE], axis=1).reshape(-1, 2, 2),
                 posterior=_posterior(metadata),
                 map_cell_m=math.nan if cell_m is None else cell_m,
                 provenance=facts["provenance"],
                 name=facts["name"],
+                **_integrity(columns, facts.get("reasons", [])),
             )
         except KeyError as error:
             raise DataError(f"{path}: {error.args[0]} is missing, expected a result saved by terranav") from None
@@ -238,16 +268,39 @@ class Result:
             return np.full((len(self), 2), np.nan)
         return np.stack(offset_m(self.true_lat_deg, self.true_lon_deg, lat_deg, lon_deg), axis=1)
 
+    @property
+    def _distinct_reasons(self) -> list[list[str]]:
+        """Every set of reasons that occurs, in the order in which they came up; the file's column counts in these."""
+        return [list(told) for told in dict.fromkeys(self.reasons)]
+
     def _columns(self) -> dict[str, NDArray[Any]]:
         """Every array of one value per epoch, as the columns of the saved file."""
         columns: dict[str, NDArray[Any]] = {key: getattr(self, key) for key in _PLAIN}
         columns |= {"ins_error_north_m": self.ins_error_m[:, 0], "ins_error_east_m": self.ins_error_m[:, 1]}
         columns |= dict(zip(_COVARIANCE, self.cov_m2.reshape(-1, 4).T, strict=True))
         columns |= {key: getattr(self, key) for key in _TRUTH if getattr(self, key) is not None}
+        code = {told: float(i) for i, told in enumerate(dict.fromkeys(self.reasons))}
+        columns |= {
+            "protection_m": self.protection_m,
+            "usable": self.usable.astype(np.float64),
+            "reasons": np.array([code[told] for told in self.reasons], dtype=np.float64),
+        }
         return {key: np.ascontiguousarray(value) for key, value in columns.items()}
 
 
 _COVARIANCE = ("cov_nn_m2", "cov_ne_m2", "cov_en_m2", "cov_ee_m2")
+
+
+def _integrity(columns: dict[str, NDArray[Any]], reasons: list[list[str]]) -> dict[str, Any]:
+    """What the integrity monitor said, from the columns of a saved result; nothing where the file is older."""
+    if "protection_m" not in columns:
+        return {}
+    distinct = [tuple(told) for told in reasons]
+    return {
+        "protection_m": columns["protection_m"],
+        "usable": columns["usable"] != 0.0,
+        "reasons": tuple(distinct[int(code)] for code in columns["reasons"].tolist()),
+    }
 
 
 def _npy(array: FloatArray) -> bytes:
