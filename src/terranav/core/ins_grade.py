@@ -6,7 +6,9 @@ Multisensor Integrated Navigation Systems, 2nd ed., section 5.7, undamped Schule
     velocity error:  v0 cos(wt)  +  (b_a + g phi) sin(wt)/w  +  g b_g (1 - cos(wt))/w^2  +  random walk
 
 Only its standard deviation is used here, as an envelope that never shrinks: sin and 1 - cos are held at their first
-maximum.
+maximum, v0 at its start, and the random walk grows as if no loop held it. What the loop makes of each part is drawn in
+`terranav.ins.drift` and followed by `terranav.ins.error_state`. A grade without figures of its inertial sensors states
+its errors on position level and has no loop: v0 is constant.
 """
 
 from __future__ import annotations
@@ -65,6 +67,15 @@ class InsGrade:
                 above = 0.0 if entry.name == "position_sigma_m" else -math.inf
                 value = finite(f"ins {entry.name}", getattr(self, entry.name), minimum=0.0, above=above)
                 object.__setattr__(self, entry.name, value)
+
+    @property
+    def has_schuler_loop(self) -> bool:
+        """Whether tilt, biases or the gyros' random walk are stated: then velocity errors swing at the Schuler rate.
+
+        Without them the grade is on position level: the velocity error is constant but for its walk.
+        """
+        figures = (self.attitude_sigma_deg, self.accel_bias_sigma_ug, self.gyro_bias_sigma_deg_per_h)
+        return any(figures) or self.gyro_walk_deg_per_sqrt_h > 0.0
 
     def velocity_sigma_at_mps(self, elapsed_s: float) -> float:
         """1-sigma of the velocity error per axis after `elapsed_s` without aiding [m/s] (see the module docstring)."""

@@ -1,14 +1,21 @@
 """An INS made from a track whose position is true: the drift of a given grade, on position level.
 
-Per horizontal axis, with e0, v0, the biases and the walks drawn from the InsGrade (w: Schuler rate, t from the start):
+Per horizontal axis, with e0, v0, the biases and the walks drawn from the InsGrade (t from the start), a grade on
+position level has
 
-    error(t) = e0 + v0 t + position walk + integral of the velocity walk + Schuler part
-    Schuler part = a (1 - cos wt)/w^2 + g b (t - sin(wt)/w)/w^2 + response to the gyro's angular random walk
+    error(t) = e0 + v0 t + position walk + integral of the velocity walk
+
+and one with figures of its inertial sensors (`InsGrade.has_schuler_loop`; w: Schuler rate)
+
+    error(t) = e0 + v0 sin(wt)/w + position walk + response of the Schuler loop to the velocity walk
+               + a (1 - cos wt)/w^2 + g b (t - sin(wt)/w)/w^2 + response to the gyro's angular random walk
 
 a is the acceleration error of initial tilt and accelerometer bias, b the gyro bias (Groves, Principles of GNSS,
-Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., section 5.7). Grades without inertial-sensor figures
-have no Schuler part. The sigma of the velocity error is `InsGrade.velocity_sigma_at_mps`, until it would shrink.
-Heading errors, which act through manoeuvres, are met only in a strapdown simulation (`terranav.ins.strapdown`).
+Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., section 5.7). A velocity error tilts the platform as
+it carries it around the Earth, so in the loop no velocity error is constant: the loop turns v + i w p at the rate w.
+This is the drift that level 'schuler' of `terranav.ins.error_state` expects. The sigma of the velocity error is at most
+`InsGrade.velocity_sigma_at_mps`. Heading errors, which act through manoeuvres, and biases that turn with the vehicle
+are met only in a strapdown simulation (`terranav.ins.strapdown`).
 """
 
 from __future__ import annotations
@@ -106,15 +113,29 @@ def draw_drift(time_s: FloatArray, ins: InsGrade, rng: Generator) -> tuple[Float
     walk, velocity_walk, within_step, angle_walk = rng.standard_normal((4, dt.size, 2))
 
     speed_walk_sigma = math.hypot(ins.velocity_walk_mps_per_sqrt_s, ins.accel_walk_mps_per_sqrt_h / 60.0)
-    speed_walk = _running(speed_walk_sigma * np.sqrt(dt) * velocity_walk)
+    kicks = speed_walk_sigma * np.sqrt(dt) * velocity_walk
     # given both ends, the integral of a walk over a step is normal about the trapezoid with variance dt^3 / 12
-    travelled = 0.5 * dt * (speed_walk[1:] + speed_walk[:-1]) + speed_walk_sigma * np.sqrt(dt**3 / 12.0) * within_step
-
-    position = ins.position_sigma_m * start + ins.velocity_sigma_mps * speed * elapsed
-    position = position + _running(ins.position_walk_m_per_sqrt_s * np.sqrt(dt) * walk + travelled)
-    velocity = ins.velocity_sigma_mps * speed + speed_walk
+    within = speed_walk_sigma * np.sqrt(dt**3 / 12.0) * within_step
+    position_walk = ins.position_walk_m_per_sqrt_s * np.sqrt(dt) * walk
+    v0 = ins.velocity_sigma_mps * speed
+    if not ins.has_schuler_loop:
+        speed_walk = _running(kicks)
+        travelled = 0.5 * dt * (speed_walk[1:] + speed_walk[:-1]) + within
+        position = ins.position_sigma_m * start + v0 * elapsed
+        return position + _running(position_walk + travelled), v0 + speed_walk
+    position = ins.position_sigma_m * start + _running(position_walk)
+    swung_position, swung_velocity = _swung(elapsed, v0, kicks, within)
     schuler_position, schuler_velocity = _schuler(elapsed, ins, accel, gyro, np.sqrt(dt) * angle_walk)
-    return position + schuler_position, velocity + schuler_velocity
+    return position + swung_position + schuler_position, swung_velocity + schuler_velocity
+
+
+def _swung(elapsed: FloatArray, v0: FloatArray, kicks: FloatArray, within: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity (n, 2) in the Schuler loop of v0, and of each step's gains at its middle."""
+    w = SCHULER_RAD_PER_S
+    turn = np.exp(1j * w * elapsed)
+    middle = np.exp(0.5j * w * (elapsed[1:] + elapsed[:-1]))
+    turned = turn * (v0 + _running((kicks + 1j * w * within) / middle))
+    return turned.imag / w, turned.real
 
 
 def _schuler(

@@ -75,14 +75,9 @@ class ErrorModel:
     @staticmethod
     def level_for(ins: InsGrade, epoch: Epoch) -> Level:
         """The most detailed level that an INS and what its epochs carry allow."""
-        if not (
-            ins.attitude_sigma_deg
-            or ins.accel_bias_sigma_ug
-            or ins.gyro_bias_sigma_deg_per_h
-            or ins.gyro_walk_deg_per_sqrt_h
-        ):
+        if not ins.has_schuler_loop:
             return "position"
-        return "schuler"
+        return "schuler" if epoch.velocity_mps is None or epoch.attitude_deg is None else "strapdown"
 
     @cached_property
     def inertial(self) -> int:
