@@ -197,6 +197,8 @@ class Innovation:
         Share of the predicted positions where the map says something; below one half nothing was compared.
     used : bool
         Whether the reading was allowed to move the estimate.
+    scale : float
+        How many times noisier than told the readings of this kind have proved (sigma over told sigma).
     """
 
     kind: str
@@ -205,6 +207,7 @@ class Innovation:
     noise: float
     known: float = 1.0
     used: bool = True
+    scale: float = 1.0
 
     @property
     def nis(self) -> float:

@@ -8,17 +8,24 @@ conditional covariance C of z depends on no particle and is kept once. Over a st
     S = phi [0 0; 0 C] phi' + q,   p drawn from N(phi_p (p, z), S_pp),   z = phi_z (p, z) + S_zp S_pp^-1 (drawn - mean),
     C = S_zz - S_zp S_pp^-1 S_pz
 
-A reading y = h(p) + bias + patch + e of a map weighs the particles by N(y - h - bias - patch; 0, c + r) and updates z
-as in a Kalman filter, c being the variance of bias + patch in C. What is in r, and why it is honest:
+A reading y of a map h leaves r = y - h(p) - bias - patch. It weighs a particle by
 
-- the sensor's noise, which is, with a small probability, several times larger (heavy tails);
-- not the map's error: that is the state 'patch', correlated along the track, so that readings over one wrong patch
+    (1 - b) N(r; 0, c + s v) + b Cauchy(r; reach),     v = sigma^2 + u^2 |slope|^2
+
+and moves z as in a Kalman filter, c being the variance of bias + patch in C. What makes that honest:
+
+- not the map's error is in v: it is the state 'patch', correlated along the track, so that readings over one wrong patch
   count once; nor a common bias, which is a state of its own;
-- blur2 |slope|^2: the place within a cell for which the map speaks, and, while the cloud is coarse, the ground that
-  one particle stands for. So a cloud over kilometres sees the terrain only as finely as it can, and loses no truth.
+- u is the place within a cell for which the map speaks, and, while the cloud is coarse, the ground that one particle
+  stands for: a cloud over kilometres sees the terrain only as finely as it can, and loses no truth;
+- b is a particle's own belief that the map is wrong here (a quarry, a wood, a void filled in) or that the reading is an
+  outlier. It comes and goes along the track as a two-state Markov chain, so that a run of misfits over one bad patch
+  costs the truth little more than the first of them;
+- s is how noisy readings have proved, as against what was told (`filters._noise_scale`);
+- the map as a whole may lie beside its place, by part of a cell and by no more than its told sigma allows on the slopes
+  that are met. No reading can tell that from an INS error, so it is added to the covariance that is given out.
 
-The noise of the draw is moment-matched and resampling keeps mean and covariance (kernel with shrinkage, Liu and West
-2001, in the position; its part in z goes into C), so flat land teaches nothing.
+The noise of a draw is moment-matched and resampling keeps mean and covariance, so flat land teaches nothing.
 """
 
 from __future__ import annotations
@@ -30,13 +37,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from terranav.core.checks import finite
+from terranav.core.earth import offset_of
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Innovation, Measurement, Posterior, Prior
+from terranav.filters import _noise_scale as noise_scale
+from terranav.filters._cloud import Cloud, advanced, covered_area, drawn, prior_area, prior_covariance, resampled
 from terranav.filters._maps import one_map_a_kind
 from terranav.ins.error_state import ErrorModel, Transition, check_bias_sigma
 from terranav.kernels import marginalized as kernels
@@ -46,32 +55,19 @@ FloatArray = NDArray[np.float64]
 
 LEAST_PARTICLES, MOST_PARTICLES = 100, 10_000_000
 RESAMPLE_SHARE = 0.5  # of the effective number
-KERNEL = 0.15  # bandwidth of the resampling kernel in sigmas of the cloud ...
-KERNEL_CELLS = 0.2  # ... but never more than this many cells, or it would smear what the terrain resolves
 FINEST_CELLS = 0.25  # a coarse cloud gets particles until they are so many cells apart
 GROUND = 1.0 / 12.0  # variance of the place within the square that a particle stands for [its side squared]
-
-
-@dataclass(frozen=True, slots=True)
-class Cloud:
-    """Particles: rows (p, mean of z), weights, the common covariance of z (d, d, zero for p), and their own moments."""
-
-    rows: FloatArray
-    weight: FloatArray
-    common: FloatArray
-    mean: FloatArray
-    cov: FloatArray
-    spacing_m: float
-
-    @property
-    def effective(self) -> float:
-        """Effective number of particles."""
-        return float(1.0 / np.sum(self.weight**2))
+SLOPE_MEMORY = 300.0  # readings over which the slope along the track is averaged
+BAD_PATCH = 2.0  # a bad patch is so many times longer than the map error's correlation
 
 
 @dataclass(frozen=True, slots=True)
 class MarginalizedState:
-    """A cloud at the latest reading, the steps since then, and mean and covariance (d), (d, d) now."""
+    """A cloud at the latest reading, the steps since then, and mean (d,) and covariance (d, d) now.
+
+    `unaided` is the covariance (d, d) without readings; `scale` (kinds, scales) the distribution of the noise scale of
+    each map, `slope2` (kinds,) the mean squared slope met [unit^2/m^2], over `met` (kinds,) readings.
+    """
 
     prior: Prior
     cloud: Cloud | None = None
@@ -79,10 +75,15 @@ class MarginalizedState:
     pending: Transition | None = None
     mean: FloatArray = field(default_factory=lambda: np.zeros(0))
     cov: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    unaided: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    scale: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    slope2: FloatArray = field(default_factory=lambda: np.zeros(0))
+    met: FloatArray = field(default_factory=lambda: np.zeros(0))
     innovations: tuple[Innovation, ...] = ()
     excluded: frozenset[str] = frozenset()
     judgement: Judgement = field(default_factory=Judgement)
     epoch: Epoch | None = None
+    last_reading: Epoch | None = None
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,18 @@ class Marginalized:
         Most particles, while the position is uncertain over kilometres; 100 to 10 million.
     least_particles : int
         Fewest, once it is known to a few cells.
-    outlier_share, outlier_scale : float
-        A reading is an outlier with this probability, in [0, 0.5], and then this many times noisier, > 1.
+    outlier_share : float
+        Share of readings that are outliers or lie over a bad patch of the map, in [0, 0.5].
+    outlier_scale : float
+        How far they lie off: half width of a Cauchy density, in sigmas of sensor and map together, > 0.
     blur_cells : float
-        1-sigma of the place within the map for which a cell's value speaks: registration, interpolation and footprint
-        [cells]; it counts by the slope.
+        1-sigma of the place within the map for which a cell's value speaks: interpolation and footprint [cells].
+    registration_cells : float
+        1-sigma per axis of the place of the map as a whole [cells]: 1/sqrt(12), anywhere within a cell, unless known
+        better. At most what shows as 1/sqrt(2) of the map's sigma on the slopes along the track; none for a map whose
+        sigma is 0.
+    adapt_noise : bool
+        Whether the noise of readings is learned; else it is taken as told.
     bias_sigma : mapping of kind to float
         1-sigma of the error common to all readings of a kind [unit]; by default `Kind.bias_sigma`.
     converged_sigma_m : float or None
@@ -118,10 +126,12 @@ class Marginalized:
     maps: tuple[Map, ...]
     ins: InsGrade
     particles: int = 20_000
-    least_particles: int = 2_000
+    least_particles: int = 3_000
     outlier_share: float = 0.05
-    outlier_scale: float = 6.0
+    outlier_scale: float = 2.0
     blur_cells: float = 0.05
+    registration_cells: float = 0.29
+    adapt_noise: bool = True
     bias_sigma: Mapping[str, float] = field(default_factory=dict)
     converged_sigma_m: float | None = None
 
@@ -134,8 +144,11 @@ class Marginalized:
                     f"expected a whole number from {LEAST_PARTICLES} to {MOST_PARTICLES}"
                 )
         finite("marginalized outlier_share", self.outlier_share, minimum=0.0, maximum=0.5)
-        finite("marginalized outlier_scale", self.outlier_scale, above=1.0)
+        finite("marginalized outlier_scale", self.outlier_scale, above=0.0)
         finite("marginalized blur_cells", self.blur_cells, minimum=0.0)
+        finite("marginalized registration_cells", self.registration_cells, minimum=0.0)
+        if not isinstance(self.adapt_noise, bool):
+            raise ConfigError(f"marginalized adapt_noise is {self.adapt_noise!r}, expected true or false")
         check_bias_sigma("marginalized", self.bias_sigma)
         if self.converged_sigma_m is not None:
             finite("marginalized converged_sigma_m", self.converged_sigma_m, above=0.0)
@@ -147,21 +160,16 @@ class Marginalized:
 
     def step(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
         """Let the time since the last epoch pass, then use the readings one by one."""
-        if state.cloud is None or state.model is None or state.epoch is None:
-            model = ErrorModel(self.ins, self.maps, ErrorModel.level_for(self.ins, epoch), self.bias_sigma)
-            cloud = self._drawn(state.prior, model, rng)
-            state = replace(state, cloud=cloud, model=model, epoch=epoch)
-            state = replace(state, mean=cloud.mean, cov=cloud.cov + cloud.common)
-        else:
-            passed = state.model.transition(state.epoch, epoch)
-            cov = passed.phi @ state.cov @ passed.phi.T + passed.q
-            pending = passed if state.pending is None else state.pending.then(passed)
-            state = replace(state, epoch=epoch, pending=pending, mean=passed.phi @ state.mean, cov=cov)
+        state = self._begun(state, epoch, rng) if state.cloud is None else self._passed(state, epoch)
         pairs = [(m, chart) for m in epoch.measurements for chart in self.maps if chart.kind == m.kind]
         innovations: list[Innovation] = []
+        if pairs:
+            state = self._advanced(state, epoch, rng)
         for reading, chart in pairs:
-            state, innovation = self._updated(_advanced(state, rng), epoch, chart, reading, rng)
+            state, innovation = self._updated(state, epoch, chart, reading)
             innovations.append(innovation)
+            if state.cloud is not None:
+                state = replace(state, cloud=self._renewed(state.cloud, rng))
         nis = [one.nis for one in innovations if one.known > 0.5]
         judgement = judge(
             self._judge,
@@ -174,11 +182,14 @@ class Marginalized:
         return replace(state, innovations=tuple(innovations), judgement=judgement)
 
     def estimate(self, state: MarginalizedState) -> Estimate:
-        """Mean and covariance of the position error."""
+        """Mean and covariance of the position error, the map's own place included."""
         if state.epoch is None:
             raise StateError("marginalized: no estimate before the first epoch")
-        cov, judgement = state.cov[:2, :2], state.judgement
-        return Estimate.at(state.epoch, state.mean[:2].copy(), 0.5 * (cov + cov.T), judgement.status, judgement.nis)
+        cov = 0.5 * (state.cov[:2, :2] + state.cov[:2, :2].T)
+        aided = max(1.0 - float(np.trace(cov) / np.trace(state.unaided[:2, :2])), 0.0)
+        cov = cov + aided * self._registration_m2(state) * np.eye(2)
+        judgement = state.judgement
+        return Estimate.at(state.epoch, state.mean[:2].copy(), cov, judgement.status, judgement.nis)
 
     def posterior(self, state: MarginalizedState) -> Posterior:
         """The positions of the cloud; what has passed since the latest reading moves them as a whole."""
@@ -193,11 +204,10 @@ class Marginalized:
         return state.innovations
 
     def restarted(self, state: MarginalizedState, prior: Prior, rng: Generator) -> MarginalizedState:
-        """A new cloud at the same epoch."""
+        """A new cloud at the same epoch; what was learned of the noise stays."""
         if state.model is None:
             return replace(state, prior=prior)
-        cloud = self._drawn(prior, state.model, rng)
-        return replace(state, cloud=cloud, pending=None, mean=cloud.mean, cov=cloud.cov + cloud.common)
+        return self._filled(replace(state, prior=prior), state.model, rng)
 
     def excluding(self, state: MarginalizedState, kinds: frozenset[str]) -> MarginalizedState:
         """The state that does not use readings of these kinds."""
@@ -212,132 +222,124 @@ class Marginalized:
     def _cell_m(self) -> float:
         return min(chart.cell_m for chart in self.maps)
 
+    def _registration_m2(self, state: MarginalizedState) -> float:
+        """Variance per axis of the place of the map that fixes the position best [m^2]."""
+        places = [
+            min((self.registration_cells * chart.cell_m) ** 2, 0.5 * chart.sigma**2 / max(slope2, 1e-30))
+            for chart, slope2, met in zip(self.maps, state.slope2, state.met)
+            if met > 0.0
+        ]
+        return min(places, default=0.0)
+
     def _count(self, area_m2: float) -> int:
         """How many particles a posterior of this area takes; in steps, so that a little more area changes nothing."""
         wanted = area_m2 / (FINEST_CELLS * self._cell_m) ** 2
         doublings = math.ceil(math.log2(max(wanted / self.least_particles, 1.0)))
         return int(min(self.least_particles * 2**doublings, max(self.particles, self.least_particles)))
 
-    def _drawn(self, prior: Prior, model: ErrorModel, rng: Generator) -> Cloud:
-        """A cloud with exactly the moments of the prior, its positions evenly spread."""
-        d, uniform = model.size, prior.shape == "uniform"
-        target = np.diag(3.0 * np.diag(prior.cov_m2)) if uniform else prior.cov_m2
-        area = 36.0 * math.sqrt(np.linalg.det(prior.cov_m2)) if uniform else _gaussian_area(target)
-        count = self._count(area)
-        even = _even(count, rng)
-        unit = math.sqrt(12.0) * (even - 0.5) if uniform else ndtri(even)
-        away = unit - unit.mean(axis=0)
-        away = away @ np.linalg.inv(np.linalg.cholesky(away.T @ away / count)).T
-        rows = np.zeros((count, d))
-        rows[:, :2] = prior.mean_m + away @ np.linalg.cholesky(target).T
-        common = model.initial_covariance(target)
+    def _begun(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
+        """The state at the first epoch, before its readings."""
+        model = ErrorModel(self.ins, self.maps, ErrorModel.level_for(self.ins, epoch), self.bias_sigma)
+        scale = np.tile(noise_scale.told(), (len(self.maps), 1))
+        none = np.zeros(len(self.maps))
+        state = replace(state, model=model, scale=scale, slope2=none, met=none, epoch=epoch)
+        return self._filled(state, model, rng)
+
+    def _filled(self, state: MarginalizedState, model: ErrorModel, rng: Generator) -> MarginalizedState:
+        """The state with a cloud drawn from its prior."""
+        whole = model.initial_covariance(prior_covariance(state.prior))
+        common = whole.copy()
         common[:2, :2] = 0.0
-        return _measured(rows, np.full(count, 1.0 / count), common, math.sqrt(area / count))
+        bad = np.full(len(self.maps), self.outlier_share)
+        cloud = drawn(state.prior, common, self._count(prior_area(state.prior)), bad, rng)
+        return replace(state, cloud=cloud, pending=None, mean=cloud.mean, cov=cloud.cov + common, unaided=whole)
+
+    def _passed(self, state: MarginalizedState, epoch: Epoch) -> MarginalizedState:
+        """The state at the time of an epoch, before its readings; nothing is drawn yet."""
+        model, before = state.model, state.epoch
+        assert model is not None and before is not None  # noqa: PT018  set by _begun()
+        passed = model.transition(before, epoch)
+        for chart, probability in zip(self.maps, state.scale):
+            patch = model.bias_index(chart.kind) + 1
+            passed.q[patch, patch] *= noise_scale.expected(probability)
+        phi, q = passed.phi, passed.q
+        pending = passed if state.pending is None else state.pending.then(passed)
+        cov, unaided = phi @ state.cov @ phi.T + q, phi @ state.unaided @ phi.T + q
+        return replace(state, epoch=epoch, pending=pending, mean=phi @ state.mean, cov=cov, unaided=unaided)
+
+    def _advanced(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
+        """The cloud at an epoch with readings: what is pending drawn, regimes carried on over the ground in between."""
+        cloud, last = state.cloud, state.last_reading
+        assert cloud is not None  # noqa: S101  set by _begun()
+        if state.pending is not None:
+            cloud = advanced(cloud, state.pending, rng)
+        if last is not None:
+            travelled = math.hypot(*offset_of(last.lat_deg, last.lon_deg, epoch.lat_deg, epoch.lon_deg))
+            keep = np.array([math.exp(-travelled / (BAD_PATCH * chart.error_length_m)) for chart in self.maps])
+            cloud = replace(cloud, bad=self.outlier_share + keep * (cloud.bad - self.outlier_share))
+        return replace(state, cloud=cloud, pending=None, last_reading=epoch)
 
     def _updated(
-        self, state: MarginalizedState, epoch: Epoch, chart: Map, reading: Measurement, rng: Generator
+        self, state: MarginalizedState, epoch: Epoch, chart: Map, reading: Measurement
     ) -> tuple[MarginalizedState, Innovation]:
         """The state after one reading, and what the reading was against its prediction."""
         cloud, model = state.cloud, state.model
-        assert cloud is not None and model is not None  # noqa: PT018  set by step()
-        bias = model.bias_index(chart.kind)
+        assert cloud is not None and model is not None  # noqa: PT018  set by _begun()
+        number, bias = self.maps.index(chart), model.bias_index(chart.kind)
         radius = float(np.abs(cloud.rows[:, :2]).max()) * math.sqrt(2.0)
         frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
+        coefficients = np.stack([frame.row, frame.col])
         residual, slope2 = np.empty(len(cloud.rows)), np.empty(len(cloud.rows))
-        kernels.compare(
-            chart.values,
-            np.stack([frame.row, frame.col]),
-            cloud.rows,
-            np.array([reading.value, bias]),
-            residual,
-            slope2,
-        )
+        kernels.compare(chart.values, coefficients, cloud.rows, np.array([reading.value, bias]), residual, slope2)
         gain = cloud.common[:, bias] + cloud.common[:, bias + 1]
-        common = float(gain[bias] + gain[bias + 1])
+        both = float(gain[bias] + gain[bias + 1])
+        factor = noise_scale.expected(state.scale[number])
         blur2 = (self.blur_cells * chart.cell_m) ** 2
-        noise = reading.sigma**2
-        known, mean, variance, white = kernels.predicted(cloud.weight, residual, slope2, noise, blur2, common)
+        white = factor * np.array([reading.sigma**2, blur2])
+        known, mean, variance, noise = kernels.predicted(cloud.weight, residual, slope2, white, both)
         used = chart.kind not in state.excluded and known > 0.0
-        innovation = Innovation(chart.kind, mean, variance, white, known, used)
+        innovation = Innovation(chart.kind, mean, variance, noise, known, used, math.sqrt(factor))
         if not used:
             return state, innovation
-        coarse2 = blur2 + GROUND * cloud.spacing_m**2
-        rows, weight = np.empty_like(cloud.rows), np.empty_like(cloud.weight)
-        outliers = np.array([self.outlier_share, self.outlier_scale])
-        likely, effective, shrink, widen = kernels.weigh(
-            cloud.rows, cloud.weight, residual, slope2, noise, coarse2, common, gain, outliers, rows, weight
+        state = _met(state, number, float(kernels.mean_known(cloud.weight, residual, slope2)))
+        bad = np.ascontiguousarray(cloud.bad[:, number])
+        reach = self.outlier_scale * math.hypot(reading.sigma, chart.sigma)
+        ground2 = GROUND * cloud.spacing_m**2
+        if self.adapt_noise:
+            likelihood = np.empty(noise_scale.SCALES.size)
+            patch = float(cloud.common[bias + 1, bias + 1])
+            told = np.array([reading.sigma**2, blur2 + ground2 / factor])
+            parts = np.array([both - patch, patch / factor])
+            kernels.evidence(cloud.weight, residual, slope2, bad, told, parts, reach, noise_scale.SCALES, likelihood)
+            scale = state.scale.copy()
+            scale[number] = noise_scale.learned(scale[number], likelihood)
+            state = replace(state, scale=scale)
+            white = noise_scale.expected(scale[number]) * np.array([reading.sigma**2, blur2])
+        rows, weight, after = np.empty_like(cloud.rows), np.empty_like(cloud.weight), np.empty_like(bad)
+        white[1] += ground2
+        likely, _, shrink, widen = kernels.weigh(
+            cloud.rows, cloud.weight, bad, residual, slope2, white, both, reach, gain, rows, weight, after
         )
         if likely <= 0.0:
             return state, innovation
-        cloud = _measured(rows, weight, cloud.common - (shrink - widen) * np.outer(gain, gain), cloud.spacing_m)
-        state = replace(state, mean=cloud.mean, cov=cloud.cov + cloud.common)
-        if effective < RESAMPLE_SHARE * len(rows):
-            cloud = self._resampled(cloud, rng)
-        return replace(state, cloud=cloud), innovation
+        regimes = cloud.bad.copy()
+        regimes[:, number] = after
+        common = cloud.common - (shrink - widen) * np.outer(gain, gain)
+        cloud = replace(cloud, rows=rows, weight=weight, bad=regimes, common=common)
+        mean_now, cov_now = kernels.moments(rows, weight)
+        cloud = replace(cloud, mean=mean_now, cov=cov_now)
+        return replace(state, cloud=cloud, mean=mean_now, cov=cov_now + common), innovation
 
-    def _resampled(self, cloud: Cloud, rng: Generator) -> Cloud:
-        """Equal weights again, with as many particles as the posterior's area asks for."""
-        area = min(float(kernels.area(cloud.rows, cloud.weight)), _gaussian_area(cloud.cov[:2, :2]))
-        count = self._count(area)
-        sigma = largest_sigma_m(cloud.cov[:2, :2])
-        h2 = min(KERNEL, KERNEL_CELLS * self._cell_m / sigma) ** 2
-        position = cloud.cov[:2, :2] + 1e-9 * np.eye(2)
-        carry = cloud.cov[:, :2] @ np.linalg.inv(position)
-        carry[:2] = np.eye(2)
-        spread = math.sqrt(h2) * carry @ np.linalg.cholesky(position)
-        rest = h2 * (cloud.cov - carry @ cloud.cov[:2])
-        rest[:2], rest[:, :2] = 0.0, 0.0
-        rows = np.empty((count, cloud.rows.shape[1]))
-        noise = rng.standard_normal((count, 2))
-        kernels.resampled(
-            cloud.rows, cloud.weight, float(rng.random()), cloud.mean, math.sqrt(1.0 - h2), spread, noise, rows
-        )
-        common = cloud.common + 0.5 * (rest + rest.T)
-        return _measured(rows, np.full(count, 1.0 / count), common, math.sqrt(area / count))
+    def _renewed(self, cloud: Cloud, rng: Generator) -> Cloud:
+        """The cloud, resampled where too few particles carry the weight."""
+        if float(cloud.weight @ cloud.weight) * RESAMPLE_SHARE * cloud.weight.size <= 1.0:
+            return cloud
+        return resampled(cloud, self._count(covered_area(cloud)), self._cell_m, rng)
 
 
-def _advanced(state: MarginalizedState, rng: Generator) -> MarginalizedState:
-    """The cloud at the epoch of the state: what is pending drawn."""
-    cloud, passed = state.cloud, state.pending
-    if cloud is None or passed is None:
-        return state
-    grown = passed.phi @ cloud.common @ passed.phi.T + passed.q
-    values, vectors = np.linalg.eigh(grown[:2, :2])
-    if values[1] <= 0.0:  # no time has passed
-        return replace(state, pending=None)
-    solid = values > 1e-12 * values[1]
-    root = vectors * np.sqrt(np.where(solid, values, 0.0))
-    inverse = (vectors * np.where(solid, 1.0 / np.where(solid, values, 1.0), 0.0)) @ vectors.T
-    carry = grown[:, :2] @ inverse
-    spread = carry @ root
-    common = grown - carry @ grown[:2]
-    common[:2], common[:, :2] = 0.0, 0.0
-    rows = np.empty_like(cloud.rows)
-    noise = rng.standard_normal((len(rows), 2))
-    kernels.advance(cloud.rows, cloud.weight, passed.phi, spread, noise, rows)
-    cloud = _measured(rows, cloud.weight, 0.5 * (common + common.T), cloud.spacing_m)
-    return replace(state, cloud=cloud, pending=None)
-
-
-def _measured(rows: FloatArray, weight: FloatArray, common: FloatArray, spacing_m: float) -> Cloud:
-    """A cloud with its moments."""
-    mean, cov = kernels.moments(rows, weight)
-    return Cloud(rows, weight, common, mean, cov, spacing_m)
-
-
-def _gaussian_area(cov_m2: FloatArray) -> float:
-    """exp(entropy) of a normal density: 2 pi e sqrt(det) [m^2]."""
-    return 2.0 * math.pi * math.e * math.sqrt(max(float(np.linalg.det(cov_m2)), 0.0))
-
-
-def _even(count: int, rng: Generator) -> FloatArray:
-    """(count, 2) points that fill the unit square evenly, in an order in which neighbours are near: a shifted lattice.
-
-    Additive recurrence with the plastic number (Roberts' R2 sequence).
-    """
-    plastic = 1.32471795724474602596
-    steps = np.arange(count)[:, None] * np.array([1.0 / plastic, 1.0 / plastic**2])
-    points = (steps + rng.random(2)) % 1.0
-    points = np.clip(points, 1e-9, 1.0 - 1e-9)
-    strip = np.floor(points[:, 0] * math.sqrt(count))
-    return np.asarray(points[np.lexsort((np.where(strip % 2.0 == 0.0, points[:, 1], -points[:, 1]), strip))])
+def _met(state: MarginalizedState, number: int, slope2: float) -> MarginalizedState:
+    """The state with one more squared slope in the running mean of a map."""
+    met, mean = state.met.copy(), state.slope2.copy()
+    met[number] = min(met[number] + 1.0, SLOPE_MEMORY)
+    mean[number] += (slope2 - mean[number]) / met[number]
+    return replace(state, met=met, slope2=mean)

@@ -11,6 +11,7 @@ from terranav.kernels.jit import jit
 from terranav.kernels.sampling import bilinear_at
 
 BINS = 48  # per axis, of the histogram that measures a cloud's area
+INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
 
 
 @jit
@@ -123,8 +124,21 @@ def compare(values, frame, cloud, state, residual, slope2):
 
 
 @jit
-def predicted(weight, residual, slope2, noise, blur2, common):
-    """Known share, mean and variance of the residual under the weights, and the mean of its white part."""
+def predicted(weight, residual, slope2, noise, common):
+    """What was expected of a reading.
+
+    Parameters
+    ----------
+    weight, residual, slope2 : (m,), the latter two of `compare`
+    noise : (2,) variance of the white noise is noise[0] + noise[1] slope2 [unit^2], [m^2]
+    common : variance that bias and patch add, equal for all particles [unit^2]
+
+    Returns
+    -------
+    known : share of the weight where the map says something
+    mean, variance : of the residual
+    white : mean of the white part of the variance
+    """
     known, mean, square, white = 0.0, 0.0, 0.0, 0.0
     for k in range(weight.size):
         r, w = residual[k], weight[k]
@@ -134,7 +148,7 @@ def predicted(weight, residual, slope2, noise, blur2, common):
         known += w
         mean += w * r
         square += w * r * r
-        white += w * (noise + blur2 * slope2[k])
+        white += w * (noise[0] + noise[1] * slope2[k])
     if known <= 0.0:
         return 0.0, np.nan, np.nan, np.nan
     mean, white = mean / known, white / known
@@ -142,71 +156,110 @@ def predicted(weight, residual, slope2, noise, blur2, common):
 
 
 @jit
-def weigh(cloud, weight, residual, slope2, noise, blur2, common, gain, outliers, out_cloud, out_weight):
-    """Multiply the weights by the likelihood of a reading and update the conditional means.
+def mean_known(weight, residual, value):
+    """Mean of a value under the weights where the map says something, 0 where it says nothing."""
+    known, total = 0.0, 0.0
+    for k in range(weight.size):
+        if residual[k] == residual[k]:
+            known += weight[k]
+            total += weight[k] * value[k]
+    return total / known if known > 0.0 else 0.0
+
+
+@jit
+def evidence(weight, residual, slope2, bad, noise, common, reach, scales, out):
+    """Likelihood of a reading under each of several scales of the noise, over every few particles.
 
     Parameters
     ----------
-    cloud, weight : the particles before
+    weight, residual, slope2, noise : as in `predicted`
+    bad : (m,) probability of the bad regime
+    common : (2,) variance of the bias, and of the patch at scale 1 [unit^2]
+    reach : half width of the Cauchy density of the bad regime [unit]
+    scales : (s,) factors of the variance of noise and patch
+    out : (s,) written
+    """
+    stride = max(weight.size // 512, 1)
+    out[:] = 0.0
+    known = 0.0
+    for k in range(0, weight.size, stride):
+        r = residual[k]
+        if r == r:
+            known += weight[k]
+            white = noise[0] + noise[1] * slope2[k] + common[1]
+            far = bad[k] * reach / (math.pi * (reach * reach + r * r))
+            for j in range(scales.size):
+                precision = 1.0 / (scales[j] * white + common[0])
+                near = math.sqrt(precision) * INV_SQRT_2PI * fast_exp(-0.5 * r * r * precision)
+                out[j] += weight[k] * ((1.0 - bad[k]) * near + far)
+    if known > 0.0:
+        out /= known
+    else:
+        out[:] = 1.0
+
+
+@jit
+def weigh(rows, weight, bad, residual, slope2, noise, common, reach, gain, out_rows, out_weight, out_bad):
+    """Multiply the weights by the likelihood of a reading and update the conditional means and the regimes.
+
+    Parameters
+    ----------
+    rows, weight, bad : the particles before: (m, d), (m,), probability of the bad regime (m,)
     residual, slope2 : of `compare`
-    noise, blur2 : variance of the white noise is noise + blur2 slope2 [unit^2], [m^2]
-    common : variance that bias and patch add, equal for all particles [unit^2]
+    noise : (2,) as in `predicted`
+    common : variance of bias + patch [unit^2]
+    reach : half width of the Cauchy density of the bad regime [unit]
     gain : (d,) covariance of the linear states with bias + patch
-    outliers : (2,) the white part is, with this probability, this many times larger in sigma
-    out_cloud, out_weight : written
+    out_rows, out_weight, out_bad : written
 
     Returns
     -------
-    total : mean likelihood of the known particles, 0 when the reading contradicts every one and nothing was changed
+    likely : mean likelihood of the known particles, 0 when the reading contradicts every one and nothing was changed
     effective : 1 / sum(w^2) of the new weights
     shrink, widen : the common covariance becomes C - (shrink - widen) gain gain'
     """
-    m, d = cloud.shape
-    share, scale2 = outliers[0], outliers[1] * outliers[1]
-    total, known = 0.0, 0.0
+    m, d = rows.shape
+    total, known, power = 0.0, 0.0, 0.0
     for k in range(m):
-        r = residual[k]
+        r, w = residual[k], weight[k]
         there = r == r
         r = r if there else 0.0
-        white = noise + blur2 * slope2[k]
-        narrow, wide = 1.0 / (white + common), 1.0 / (scale2 * white + common)
-        near = (1.0 - share) * math.sqrt(narrow) * fast_exp(-0.5 * r * r * narrow)
-        far = share * math.sqrt(wide) * fast_exp(-0.5 * r * r * wide)
+        precision = 1.0 / (noise[0] + noise[1] * slope2[k] + common)
+        near = (1.0 - bad[k]) * math.sqrt(precision) * INV_SQRT_2PI * fast_exp(-0.5 * r * r * precision)
+        far = bad[k] * reach / (math.pi * (reach * reach + r * r))
         likely = near + far
-        p = weight[k] * likely
-        out_weight[k] = p if there else -1.0
-        total += p if there else 0.0
-        known += weight[k] if there else 0.0
+        out_weight[k] = w * likely if there else -1.0
+        out_bad[k] = far / likely if there else bad[k]
+        total += w * likely if there else 0.0
+        known += w if there else 0.0
+        power += w * w
     if not total > 1e-280:
-        out_cloud[:] = cloud
-        out_weight[:] = weight
-        power = 0.0
-        for k in range(m):
-            power += weight[k] * weight[k]
+        out_rows[:], out_weight[:], out_bad[:] = rows, weight, bad
         return 0.0, 1.0 / power, 0.0, 0.0
     average = total / known
     norm = 1.0 / (total + average * (1.0 - known))
     power, shrink, widen = 0.0, 0.0, 0.0
     for k in range(m):
-        r = residual[k]
         there = out_weight[k] >= 0.0
         p = norm * (out_weight[k] if there else weight[k] * average)
         out_weight[k] = p
         power += p * p
-        white = noise + blur2 * slope2[k]
-        narrow, wide = 1.0 / (white + common), 1.0 / (scale2 * white + common)
-        r = r if there else 0.0
-        near = (1.0 - share) * math.sqrt(narrow) * fast_exp(-0.5 * r * r * narrow)
-        far = share * math.sqrt(wide) * fast_exp(-0.5 * r * r * wide)
-        inlier = near / max(near + far, 1e-300)
-        pull = (inlier * narrow + (1.0 - inlier) * wide) if there else 0.0
+        good = 1.0 - out_bad[k] if there else 0.0
+        pull = good / (noise[0] + noise[1] * slope2[k] + common)
+        r = residual[k] if there else 0.0
         step = r * pull
         for i in range(d):
-            out_cloud[k, i] = cloud[k, i] + gain[i] * step
+            out_rows[k, i] = rows[k, i] + gain[i] * step
         shrink += p * pull
-        jump = r * (narrow - wide)
-        widen += p * inlier * (1.0 - inlier) * jump * jump
+        widen += p * good * (1.0 - good) * (r * pull / max(good, 1e-300)) ** 2 if good > 0.0 else 0.0
     return average, 1.0 / power, shrink, widen
+
+
+@jit
+def regime(bad, share, keep, out):
+    """Let the bad regime come and go: out = share + keep (bad - share)."""
+    for k in range(bad.size):
+        out[k] = share + keep * (bad[k] - share)
 
 
 @jit
@@ -256,20 +309,20 @@ def area(cloud, weight):
 
 
 @jit
-def resampled(cloud, weight, offset, centre, keep, spread, noise, out):
-    """Systematic resampling to equal weights with a kernel: out[k] = centre + keep (chosen - centre) + spread noise[k].
+def resampled(rows, weight, bad, offset, centre, keep, spread, noise, out_rows, out_bad):
+    """Systematic resampling to equal weights with a kernel: centre + keep (chosen - centre) + spread noise.
 
     Parameters
     ----------
-    cloud : (m, d), weight : (m,) that sums to one
+    rows : (m, d), weight : (m,) that sums to one, bad : (m, kinds)
     offset : float in [0, 1)
     centre : (d,) mean of the cloud
     keep : float, how far the particles are drawn towards the mean, to make room for the kernel
     spread : (d, 2), noise : (n, 2) standard normal
-    out : (n, d) written; n need not be m
+    out_rows, out_bad : (n, d), (n, kinds) written; n need not be m
     """
-    m, d = cloud.shape
-    n = len(out)
+    m, d = rows.shape
+    n = len(out_rows)
     source, reached = 0, weight[0]
     for k in range(n):
         level = (k + offset) / n
@@ -277,5 +330,7 @@ def resampled(cloud, weight, offset, centre, keep, spread, noise, out):
             source += 1
             reached += weight[source]
         for i in range(d):
-            away = keep * (cloud[source, i] - centre[i])
-            out[k, i] = centre[i] + away + spread[i, 0] * noise[k, 0] + spread[i, 1] * noise[k, 1]
+            away = keep * (rows[source, i] - centre[i])
+            out_rows[k, i] = centre[i] + away + spread[i, 0] * noise[k, 0] + spread[i, 1] * noise[k, 1]
+        for j in range(bad.shape[1]):
+            out_bad[k, j] = bad[source, j]

@@ -1,0 +1,151 @@
+"""Marginalised particles: positions with conditional means, one conditional covariance for all.
+
+The state x = (p, z) is that of `terranav.ins.error_state`. Row k is (p, E[z | p]) of particle k; `common` is the
+covariance of z given p, zero for p. Steps are held back until a reading comes, and then drawn at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from terranav.core.judgement import largest_sigma_m
+from terranav.core.records import Prior
+from terranav.ins.error_state import Transition
+from terranav.kernels import marginalized as kernels
+
+FloatArray = NDArray[np.float64]
+
+KERNEL_DIMENSIONS = 4  # position and velocity: what a particle's history is about
+KERNEL_CELLS = 0.5  # a kernel wider than this many cells would smear what the terrain resolves
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """Particles.
+
+    Attributes
+    ----------
+    rows : (m, d)
+    weight : (m,), sums to one
+    bad : (m, kinds)
+        Probability that the map of each kind is in its bad regime below the particle.
+    common : (d, d)
+    mean, cov : (d,), (d, d)
+        Of the rows under the weights, when they were last weighed or drawn.
+    spacing_m : float
+        Side of the square of ground that one particle stands for.
+    """
+
+    rows: FloatArray
+    weight: FloatArray
+    bad: FloatArray
+    common: FloatArray
+    mean: FloatArray
+    cov: FloatArray
+    spacing_m: float
+
+
+def drawn(prior: Prior, common: FloatArray, count: int, bad: FloatArray, rng: Generator) -> Cloud:
+    """A cloud with exactly the moments of the prior, its positions evenly spread, z = 0.
+
+    Parameters
+    ----------
+    prior : Prior
+    common : (d, d) covariance of z
+    count : int
+    bad : (kinds,) probability of the bad regime
+    rng : Generator
+    """
+    target = prior_covariance(prior)
+    even = _even(count, rng)
+    unit = math.sqrt(12.0) * (even - 0.5) if prior.shape == "uniform" else ndtri(even)
+    away = unit - unit.mean(axis=0)
+    away = away @ np.linalg.inv(np.linalg.cholesky(away.T @ away / count)).T
+    rows = np.zeros((count, len(common)))
+    rows[:, :2] = prior.mean_m + away @ np.linalg.cholesky(target).T
+    weight = np.full(count, 1.0 / count)
+    regimes = np.broadcast_to(bad, (count, bad.size)).copy()
+    return Cloud(rows, weight, regimes, common, *kernels.moments(rows, weight), math.sqrt(prior_area(prior) / count))
+
+
+def advanced(cloud: Cloud, passed: Transition, rng: Generator) -> Cloud:
+    """The cloud after a step: positions drawn, z conditioned on them. Its `mean` and `cov` stay those of before."""
+    grown = passed.phi @ cloud.common @ passed.phi.T + passed.q
+    values, vectors = np.linalg.eigh(grown[:2, :2])
+    if values[1] <= 0.0:  # no time has passed
+        return cloud
+    solid = values > 1e-12 * values[1]
+    root = vectors * np.sqrt(np.where(solid, values, 0.0))
+    inverse = (vectors * np.where(solid, 1.0 / np.where(solid, values, 1.0), 0.0)) @ vectors.T
+    carry = grown[:, :2] @ inverse
+    common = grown - carry @ grown[:2]
+    common[:2], common[:, :2] = 0.0, 0.0
+    rows = np.empty_like(cloud.rows)
+    noise = rng.standard_normal((len(rows), 2))
+    kernels.advance(cloud.rows, cloud.weight, passed.phi, carry @ root, noise, rows)
+    return replace(cloud, rows=rows, common=0.5 * (common + common.T))
+
+
+def resampled(cloud: Cloud, count: int, cell_m: float, rng: Generator) -> Cloud:
+    """Equal weights again. Mean and covariance stay: a normal kernel takes up what shrinking towards the mean leaves.
+
+    Liu and West, Combined parameter and state estimation, in: Sequential Monte Carlo Methods in Practice, 2001. The
+    bandwidth is the best one for a normal density in `KERNEL_DIMENSIONS` (Silverman 1986, eq. 4.14). The kernel's part
+    in p is drawn and moves z along; its part in z given p goes into `common`.
+    """
+    d = KERNEL_DIMENSIONS
+    sigma = largest_sigma_m(cloud.cov[:2, :2])
+    width = min((4.0 / (count * (d + 2.0))) ** (1.0 / (d + 4.0)), KERNEL_CELLS * cell_m / max(sigma, 1e-9))
+    position = cloud.cov[:2, :2] + 1e-9 * np.eye(2)
+    carry = cloud.cov[:, :2] @ np.linalg.inv(position)
+    carry[:2] = np.eye(2)
+    spread = width * carry @ np.linalg.cholesky(position)
+    rest = width**2 * (cloud.cov - carry @ cloud.cov[:2])
+    rest[:2], rest[:, :2] = 0.0, 0.0
+    rows, bad = np.empty((count, cloud.rows.shape[1])), np.empty((count, cloud.bad.shape[1]))
+    noise, offset, keep = rng.standard_normal((count, 2)), float(rng.random()), math.sqrt(1.0 - width**2)
+    kernels.resampled(cloud.rows, cloud.weight, cloud.bad, offset, cloud.mean, keep, spread, noise, rows, bad)
+    weight = np.full(count, 1.0 / count)
+    common = cloud.common + 0.5 * (rest + rest.T)
+    spacing = math.sqrt(covered_area(cloud) / count)
+    return replace(cloud, rows=rows, weight=weight, bad=bad, common=common, spacing_m=spacing)
+
+
+def covered_area(cloud: Cloud) -> float:
+    """Area that the positions cover, exp(entropy) [m^2]."""
+    return min(float(kernels.area(cloud.rows, cloud.weight)), gaussian_area(cloud.cov[:2, :2]))
+
+
+def gaussian_area(cov_m2: FloatArray) -> float:
+    """exp(entropy) of a normal density: 2 pi e sqrt(det) [m^2]."""
+    return 2.0 * math.pi * math.e * math.sqrt(max(float(np.linalg.det(cov_m2)), 0.0))
+
+
+def prior_covariance(prior: Prior) -> FloatArray:
+    """(2, 2) covariance of a prior of either shape [m^2]."""
+    return np.diag(3.0 * np.diag(prior.cov_m2)) if prior.shape == "uniform" else prior.cov_m2
+
+
+def prior_area(prior: Prior) -> float:
+    """exp(entropy) of a prior [m^2]."""
+    if prior.shape == "uniform":
+        return 36.0 * float(np.sqrt(np.prod(np.diag(prior.cov_m2))))
+    return gaussian_area(prior.cov_m2)
+
+
+def _even(count: int, rng: Generator) -> FloatArray:
+    """(count, 2) points that fill the unit square evenly, in an order in which neighbours are near: a shifted lattice.
+
+    Additive recurrence with the plastic number (Roberts' R2 sequence).
+    """
+    plastic = 1.32471795724474602596
+    steps = np.arange(count)[:, None] * np.array([1.0 / plastic, 1.0 / plastic**2])
+    points = np.clip((steps + rng.random(2)) % 1.0, 1e-9, 1.0 - 1e-9)
+    strip = np.floor(points[:, 0] * math.sqrt(count))
+    return np.asarray(points[np.lexsort((np.where(strip % 2.0 == 0.0, points[:, 1], -points[:, 1]), strip))])
