@@ -117,7 +117,7 @@ def test_terminal_table_never_breaks_a_figure(width: int, outcome: Outcome) -> N
     assert len([line for line in lines if "pointmass" in line]) == 1
     assert lines[-1].lstrip().startswith("pointmass")
     heads = " ".join(lines[:-3])
-    assert ("max" in heads) == (width > 80)
+    assert ("max" in heads) == (width > 100)
     assert "R95" in heads
 
 

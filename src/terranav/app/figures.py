@@ -14,7 +14,20 @@ from numpy.typing import NDArray
 
 from terranav.app.ahead_figure import terrain_ahead
 from terranav.app.outcome import BASELINE, ELLIPSE_95, Outcome
-from terranav.app.style import INS, MAIN, TRUTH, colours, new_figure, status_ribbon, styled, time_axis
+from terranav.app.style import (
+    BOUND,
+    BOUND_DASHES,
+    INS,
+    MAIN,
+    TRUTH,
+    USABLE,
+    WITHHELD,
+    colours,
+    new_figure,
+    status_ribbon,
+    styled,
+    time_axis,
+)
 from terranav.app.trackmap import track_map
 from terranav.core.records import Posterior
 from terranav.maps.map import Map
@@ -25,9 +38,9 @@ FloatArray = NDArray[np.float64]
 def error_history(outcome: Outcome) -> Figure:
     """Distance from the truth against time for every estimator, the main one's claim, and every status."""
     with styled():
-        names = [name for name in outcome.results if name != BASELINE]
-        figure = new_figure(4.6 + 0.3 * len(names))
-        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[4.2, 0.3 * len(names) + 0.12])
+        ribbon = _ribbon(outcome)
+        figure = new_figure(4.6 + 0.3 * len(ribbon))
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[4.2, 0.3 * len(ribbon) + 0.12])
         time, label = time_axis(outcome.recording.time_s, float(outcome.recording.time_s[0]))
         shades = colours(outcome)
         floor = _errors(top, outcome, time, shades)
@@ -37,7 +50,7 @@ def error_history(outcome: Outcome) -> Figure:
         top.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} m" if y < 1000 else f"{y / 1000:g} km"))
         top.yaxis.set_minor_formatter(FuncFormatter(lambda y, _: ""))
         top.legend(loc="upper left", ncols=5, fontsize=9.5, frameon=True, framealpha=0.85, edgecolor="none")
-        status_ribbon(bottom, time, [(name, outcome.results[name].status) for name in names])
+        status_ribbon(bottom, time, ribbon)
         bottom.set_xlabel(label)
         bottom.set_xlim(*_span(outcome))
     return figure
@@ -55,12 +68,16 @@ def north_east(outcome: Outcome) -> Figure:
         for axis, (axes, name) in enumerate(zip(panels, ("north", "east"), strict=True)):
             error, band = result.error_m[:, axis], 2.0 * np.sqrt(result.cov_m2[:, axis, axis])
             axes.fill_between(time, -band, band, color=MAIN, alpha=0.16, linewidth=0, label="claimed ±2σ")
+            if outcome.bound is not None:
+                least = 2.0 * outcome.bound.sigma_m[:, axis]
+                axes.plot(time, least, color=BOUND, linewidth=1, linestyle=BOUND_DASHES, label="bound ±2σ")
+                axes.plot(time, -least, color=BOUND, linewidth=1, linestyle=BOUND_DASHES)
             axes.axhline(0.0, color="#8a9199", linewidth=0.8)
             axes.plot(time, error, color=MAIN, linewidth=1.3, label=f"{name} error of {outcome.main}")
             reach = 1.25 * float(np.nanmax(np.abs(np.concatenate([error[after], band[after]]))))
             axes.set_ylim(-reach, reach)
             axes.set_ylabel(f"{name} [m]")
-        panels[0].legend(loc="upper right", ncols=2, fontsize=9.5, frameon=True, framealpha=0.85, edgecolor="none")
+        panels[0].legend(loc="upper right", ncols=3, fontsize=9.5, frameon=True, framealpha=0.85, edgecolor="none")
         panels[1].set_xlabel(label)
         panels[1].set_xlim(*_span(outcome))
     return figure
@@ -119,11 +136,24 @@ def _span(outcome: Outcome) -> tuple[float, float]:
     return float(time[0]), float(time[-1]) if time.size > 1 else float(time[0]) + 1.0
 
 
+def _ribbon(outcome: Outcome) -> list[tuple[str, NDArray[np.str_]]]:
+    """The statuses of every estimator, and below the main one's, where it is watched, whether a fix was offered."""
+    rows: list[tuple[str, NDArray[np.str_]]] = []
+    for name, result in outcome.results.items():
+        if name != BASELINE:
+            rows.append((name, result.status))
+        if name == outcome.main and result.watched:
+            rows.append(("its fix", np.where(result.usable, USABLE, WITHHELD)))
+    return rows
+
+
 def _errors(axes: Axes, outcome: Outcome, time: FloatArray, shades: dict[str, str]) -> float:
     """Draw the errors (or, without truth, the claims alone); return where the log axis should start."""
     rec, main = outcome.recording, outcome.results[outcome.main]
     claim = 2.0 * np.sqrt(np.trace(main.cov_m2, axis1=1, axis2=2))
     lowest = [np.percentile(claim, 2)]
+    if main.watched:
+        axes.plot(time, main.protection_m, color=MAIN, linewidth=1.2, linestyle=(0, (4, 1.5)), label="protection level")
     axes.fill_between(time, 1e-3, claim, color=MAIN, alpha=0.14, linewidth=0, label=f"2σ claimed by {outcome.main}")
     if BASELINE in outcome.results and outcome.main != BASELINE:
         base = 2.0 * np.sqrt(np.trace(outcome.results[BASELINE].cov_m2, axis1=1, axis2=2))
@@ -136,6 +166,10 @@ def _errors(axes: Axes, outcome: Outcome, time: FloatArray, shades: dict[str, st
                 width, order = (1.9, 4) if name == outcome.main else (1.2, 3)
                 axes.plot(time, error, color=shades[name], linewidth=width, zorder=order, label=name)
                 lowest.append(np.nanpercentile(error, 5))
+    if outcome.bound is not None:
+        least = outcome.bound.drms_m
+        axes.plot(time, least, color=BOUND, linewidth=1.4, linestyle=BOUND_DASHES, zorder=5, label="Cramér-Rao bound")
+        lowest.append(np.percentile(least, 5))
     return 0.7 * max(float(np.nanmin(lowest)), 0.5)
 
 

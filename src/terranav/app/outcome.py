@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terranav.core.earth import offset_m
-from terranav.core.errors import StateError
+from terranav.core.errors import StateError, TerranavError
 
 if TYPE_CHECKING:
     from terranav.core.ins_grade import InsGrade
     from terranav.core.recording import Recording
+    from terranav.core.records import Prior
     from terranav.experiment.result import Result
     from terranav.maps.map import Map
+    from terranav.planning.bound import Bound
 
 FloatArray = NDArray[np.float64]
 
@@ -76,14 +78,53 @@ class Outcome:
         return float(self.recording.time_s[-1] - self.recording.time_s[0])
 
     def metrics(self, name: str) -> dict[str, float]:
-        """`Result.metrics` of one estimator, the first `since_s` seconds left out."""
+        """`Result.metrics` of one estimator, the first `since_s` seconds left out, and bound_drms_m over the same."""
         if name not in self._cache:
-            self._cache[name] = self.results[name].metrics(since_s=self.since_s)
+            figures = self.results[name].metrics(since_s=self.since_s)
+            self._cache[name] = {**figures, "bound_drms_m": self.bound_drms_m(self.since_s)}
         return self._cache[name]
 
     def metrics_after_fix(self, name: str) -> dict[str, float]:
         """The same from the estimator's first fix on; NaN when there was none."""
-        return self.results[name].metrics(since_s=self.since_s, after_first_fix=True)
+        key = f"{name} after its fix"
+        if key not in self._cache:
+            figures = self.results[name].metrics(since_s=self.since_s, after_first_fix=True)
+            since_s = float(np.maximum(self.since_s, figures["first_fix_s"]))  # NaN when there was none
+            self._cache[key] = {**figures, "bound_drms_m": self.bound_drms_m(since_s)}
+        return self._cache[key]
+
+    @cached_property
+    def bound(self) -> Bound | None:
+        """Cramer-Rao bound along the true track; None where there is none to compute, as without truth."""
+        from terranav.planning.bound import bound
+
+        try:
+            return bound(self.recording, self.maps, self.ins, prior=self._prior)
+        except TerranavError:
+            return None
+
+    @property
+    def _prior(self) -> Prior | None:
+        """What the estimators were told of the error at the start, from what the results keep."""
+        from terranav.core.records import Prior
+
+        told = next(
+            (result.provenance["prior"] for result in self.results.values() if "prior" in result.provenance), None
+        )
+        return None if told is None else Prior(**told)
+
+    def bound_drms_m(self, since_s: float) -> float:
+        """Least DRMS that an estimator could have from so many seconds after the start on [m], NaN without a bound."""
+        if self.bound is None:
+            return math.nan
+        time_s = self.recording.time_s
+        later = self.bound.drms_m[(time_s - time_s[0] >= since_s) & np.isfinite(self.ins_distance_m)]
+        return float(np.sqrt(np.mean(later**2))) if later.size else math.nan
+
+    @cached_property
+    def watched(self) -> bool:
+        """Whether an integrity monitor watched any estimator."""
+        return any(result.watched for result in self.results.values())
 
     def first_fix_s(self, name: str) -> float:
         """Seconds from the start to the first converged epoch, NaN when there is none."""
@@ -157,6 +198,7 @@ class Outcome:
     def as_json(self) -> dict[str, Any]:
         """Everything a machine wants to know of the outcome; the arrays are in the result files."""
         from terranav import __version__
+        from terranav.app import reasons
         from terranav.app.words import verdict
 
         return {
@@ -184,6 +226,7 @@ class Outcome:
                     "after_fix": self.metrics_after_fix(name),
                     "final_95_m": self.final_claim_m(name),
                     "status": self.status_at_end(name),
+                    "reasons": reasons.as_json(self.results[name]),
                 }
                 for name in self.results
             },

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
-from terranav.app import tables, words
+from terranav.app import reasons, tables, words
 from terranav.app.outcome import BASELINE, Outcome
 
 _LONGEST_TEXT = 10_000
@@ -35,6 +35,8 @@ def render(outcome: Outcome, pictures: Mapping[str, bytes]) -> str:
     """
     from jinja2 import Environment, StrictUndefined
 
+    from terranav.app.style import STATUS_COLOUR
+
     template = files("terranav.app").joinpath("templates/report.html.j2").read_text(encoding="utf-8")
     environment = Environment(
         finalize=_unbroken, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -52,20 +54,25 @@ def render(outcome: Outcome, pictures: Mapping[str, bytes]) -> str:
             {"stem": stem, "data": base64.b64encode(content).decode(), **texts[stem]}
             for stem, content in pictures.items()
         ],
+        integrity=reasons.section(outcome),
+        status_colour=STATUS_COLOUR,
         provenance=provenance_rows(outcome),
     )
 
 
 def cards(outcome: Outcome) -> list[tuple[str, str]]:
-    """The three or four numbers that matter most, each with what it is."""
+    """The few numbers that matter most, each with what it is."""
     name = outcome.main
     fix_s = outcome.first_fix_s(name)
     fix = ("never" if math.isnan(fix_s) else words.duration(fix_s), "until the first fix")
+    available = words.percent(outcome.metrics(name)["available"])
+    offered = [(available, "of epochs with a fix offered as usable")] if outcome.results[name].watched else []
     if not outcome.recording.has_truth:
         return [
             (words.distance(outcome.final_correction_m(name)), "from the INS position at the end"),
             (words.distance(outcome.final_claim_m(name)), "95 % radius it claims at the end"),
             fix,
+            *offered,
         ]
     off = (words.distance(outcome.final_ins_error_m), "INS alone, at the end")
     if name == BASELINE:
@@ -76,12 +83,14 @@ def cards(outcome: Outcome) -> list[tuple[str, str]]:
         (words.distance(held["r95_m"]), f"{name}, 95 % of the time after its first fix"),
         fix,
         (words.percent(held["contained_95"]), "of epochs since then with the truth inside its 95 % ellipse"),
+        *offered,
     ]
 
 
 def captions(outcome: Outcome) -> dict[str, dict[str, str]]:
     """Title, caption and text for those who cannot see it, for each picture."""
     name, known = outcome.main, outcome.recording.has_truth
+    bound, watched = outcome.bound is not None, outcome.results[name].watched
     return {
         "track": {
             "title": "Where it went",
@@ -99,6 +108,18 @@ def captions(outcome: Outcome) -> dict[str, dict[str, str]]:
                 f"{name} claims for itself nearly always. Below: what each estimator says its position is worth."
                 if known
                 else f"The shaded 2σ that {name} claims for its position; below, what each estimator says it is worth."
+            )
+            + (
+                " The protection level (dashed blue) is what the error may exceed with no more than the declared risk "
+                "while the fix is usable."
+                if watched
+                else ""
+            )
+            + (
+                " The Cramér-Rao bound (dash-dotted) is the root mean square that no estimator can go below on "
+                "average, if the readings are as good as told; a single run may."
+                if bound
+                else ""
             ),
         },
         "profile": {
@@ -110,7 +131,8 @@ def captions(outcome: Outcome) -> dict[str, dict[str, str]]:
         },
         "north_east": {
             "title": "Is it honest?",
-            "caption": f"Both error components of {name} after its first fix, inside the ±2σ band it claims.",
+            "caption": f"Both error components of {name} after its first fix, inside the ±2σ band it claims."
+            + (" A band as narrow as the dash-dotted bound is as good as it can be." if bound else ""),
         },
         "posterior": {
             "title": "What it believed at the end",

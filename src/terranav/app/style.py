@@ -24,12 +24,20 @@ FloatArray = NDArray[np.float64]
 
 TRUTH, INS, MAIN = "#111111", "#d1495b", "#00639c"
 OTHERS = ("#b8860b", "#7b4ea3", "#1b8a5a", "#8c564b", "#5f6b76")
-STATUS_COLOUR = {
-    Status.SEARCHING.value: "#c3ccd4",
-    Status.CONVERGED.value: "#4c9f70",
-    Status.DEGRADED.value: "#eeb54a",
-    Status.LOST.value: "#c8403a",
-    Status.OFF_MAP.value: "#6b6b6b",
+BOUND = "#30363c"
+BOUND_DASHES = (0, (5, 1.5, 1, 1.5))
+STATUS_COLOUR = {  # apart by 27 CIELAB units or more for normal, red-, green- and blue-blind eyes
+    Status.SEARCHING.value: "#ccd4db",
+    Status.CONVERGED.value: "#45a583",
+    Status.DEGRADED.value: "#f3c14b",
+    Status.LOST.value: "#cc4433",
+    Status.OFF_MAP.value: "#2f343a",
+}
+USABLE, WITHHELD = "fix usable", "fix withheld"
+_RIBBON: dict[str, dict[str, Any]] = {
+    **{name: {"color": colour} for name, colour in STATUS_COLOUR.items()},
+    USABLE: {"color": MAIN},
+    WITHHELD: {"color": "#ffffff", "hatch": "////", "edgecolor": "#9aa3ab"},
 }
 WIDTH_IN = 10.0
 
@@ -99,7 +107,7 @@ def nice_length(wanted: float) -> float:
 
 
 def status_ribbon(axes: Axes, time: FloatArray, rows: Sequence[tuple[str, NDArray[np.str_]]]) -> None:
-    """Draw one coloured bar per estimator: what it said its position was worth, and when."""
+    """Draw one coloured bar per row: what an estimator said its position was worth, or whether a fix was offered."""
     edges = np.append(time, time[-1] + (np.median(np.diff(time)) if time.size > 1 else 1.0))
     used: set[str] = set()
     for row, (_, status) in enumerate(rows):
@@ -107,7 +115,7 @@ def status_ribbon(axes: Axes, time: FloatArray, rows: Sequence[tuple[str, NDArra
         last = np.append(first[1:], status.size)
         for i, j in zip(first, last, strict=True):
             used.add(str(status[i]))
-            axes.barh(row, edges[j] - edges[i], 0.72, edges[i], color=STATUS_COLOUR[str(status[i])], linewidth=0)
+            axes.barh(row, edges[j] - edges[i], 0.72, edges[i], linewidth=0, **_RIBBON[str(status[i])])
     axes.set_yticks(range(len(rows)), [name for name, _ in rows])
     axes.invert_yaxis()
     axes.grid(visible=False)
@@ -115,10 +123,10 @@ def status_ribbon(axes: Axes, time: FloatArray, rows: Sequence[tuple[str, NDArra
         axes.spines[side].set_visible(False)
     axes.tick_params(length=0)
     handles = [
-        axes.barh(0, 0, 0, color=colour, label=name.replace("_", " "))
-        for name, colour in STATUS_COLOUR.items()
+        axes.barh(0, 0, 0, label=name.replace("_", " "), linewidth=0, **look)
+        for name, look in _RIBBON.items()
         if name in used
     ]
     axes.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0, 1), ncols=5, borderpad=0, handlelength=1.2, fontsize=9
+        handles=handles, loc="lower left", bbox_to_anchor=(0, 1), ncols=7, borderpad=0, handlelength=1.2, fontsize=9
     )

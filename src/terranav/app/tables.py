@@ -48,6 +48,17 @@ _FIX = (
     Column("lost", "time it called itself lost", _figure("lost_s", duration)),
 )
 
+BOUND = Column(
+    "bound",
+    "least DRMS from the first fix on that any estimator could have there (Cramer-Rao, for the readings as told)",
+    _after_fix("bound_drms_m"),
+)
+INTEGRITY = (
+    Column("HPL", "horizontal protection level, which the error exceeds with at most the declared risk; median over the "
+           "usable fixes", _figure("protection_m", distance)),
+    Column("available", "share of epochs at which a fix was offered as usable", _figure("available", percent)),
+)  # fmt: skip
+
 #: for a recording whose true position is known
 WITH_TRUTH = (
     Column("DRMS", "root of the mean squared distance from the truth, the search for the first fix included",
@@ -77,13 +88,17 @@ WITHOUT_TRUTH = (
     *_FIX,
 )  # fmt: skip
 
-_EXPENDABLE = ("max", "CEP", "final", "lost", "NEES")
+_EXPENDABLE = ("max", "CEP", "final", "lost", "NEES", "R95", "first fix")
 _GAP = 3  # between two columns of the terminal's table
 
 
 def columns(outcome: Outcome) -> tuple[Column, ...]:
-    """The columns that make sense for a recording."""
-    return WITH_TRUTH if outcome.recording.has_truth else WITHOUT_TRUTH
+    """The columns that make sense for an outcome."""
+    found: tuple[Column, ...] = WITH_TRUTH if outcome.recording.has_truth else WITHOUT_TRUTH
+    if outcome.bound is not None:
+        after = 1 + next(i for i, column in enumerate(found) if column.head == "DRMS fixed")
+        found = (*found[:after], BOUND, *found[after:])
+    return (*found, *INTEGRITY) if outcome.watched else found
 
 
 def rows(outcome: Outcome) -> list[tuple[str, list[str]]]:

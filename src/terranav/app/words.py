@@ -33,9 +33,28 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def percent(share: float) -> str:
-    """A share of one: '94 %', a dash for NaN."""
-    return f"{100 * share:.0f} %" if math.isfinite(share) else NOTHING
+def moment(seconds: float) -> str:
+    """A time since the start to the second: '45 s', '3 min 20 s', '1 h 05 min 09 s'."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes = f"{whole // 60 % 60:02d} min" if whole >= 3600 else f"{whole // 60} min"
+    hours = f"{whole // 3600} h " if whole >= 3600 else ""
+    return f"{hours}{minutes} {whole % 60:02d} s"
+
+
+def span(start_s: float, end_s: float) -> str:
+    """A stretch of time since the start: 'from 3 min 20 s to 4 min 05 s', 'at 45 s' where it is no longer than that."""
+    start, end = moment(start_s), moment(end_s)
+    return f"at {start}" if start == end else f"from {start} to {end}"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share of one: '94 %', a dash for NaN; one above nothing is never shown as nothing."""
+    if not math.isfinite(share):
+        return NOTHING
+    least = 10.0**-digits
+    return f"< {least:g} %" if 0.0 < 100 * share < 0.5 * least else f"{100 * share:.{digits}f} %"
 
 
 def number(value: float, digits: int = 2) -> str:

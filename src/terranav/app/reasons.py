@@ -1,0 +1,142 @@
+"""When a fix was lost, degraded or withheld, and why: what the integrity monitor said, gathered into time spans."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from terranav.app.words import distance, percent, span
+
+if TYPE_CHECKING:
+    from terranav.app.outcome import Outcome
+    from terranav.experiment.result import Result
+
+MOST_SPANS = 20  # rows that the report shows
+#: what changes from epoch to epoch in a reason that stays: figures, their units, points of the compass
+_FIGURE = re.compile(
+    r"\d+(?:\.\d+)?(?:e[+-]?\d+)?(?: (?:k?m|s|min|h)\b)?(?: (?:north|south)?-?(?:east|west)?\b(?<=[ht]))?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of time over which status, offer and reasons stay the same, whatever the figures in their texts.
+
+    Attributes
+    ----------
+    start_s, end_s : float
+        From the first epoch of the run; the end is the next span's start [s].
+    status : str
+    usable : bool or None
+        Whether a fix was offered; None where no integrity monitor watched.
+    reasons : tuple of str
+        As they stood at the start.
+    """
+
+    start_s: float
+    end_s: float
+    status: str
+    usable: bool | None
+    reasons: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Of the span [s]."""
+        return self.end_s - self.start_s
+
+    @property
+    def fix(self) -> str:
+        """What became of the fix, in words."""
+        return {True: "fix usable", False: "fix withheld", None: ""}[self.usable]
+
+    @property
+    def when(self) -> str:
+        """The time in words."""
+        return span(self.start_s, self.end_s)
+
+    @property
+    def why(self) -> str:
+        """The reasons in words."""
+        return "; ".join(self.reasons)
+
+
+def spans(result: Result) -> list[Span]:
+    """What there is to explain of a run, in the order of time: where there are reasons, or a fix was withheld."""
+    watched, time_s = result.watched, (result.time_s - result.time_s[0]).tolist()
+    alike: dict[tuple[str, ...], tuple[str, ...]] = {}
+    found: list[Span] = []
+    key: tuple[Any, ...] | None = None
+    for at_s, status, usable, reasons in zip(
+        time_s, result.status.tolist(), result.usable.tolist(), result.reasons, strict=True
+    ):
+        if reasons not in alike:
+            alike[reasons] = tuple(_FIGURE.sub("#", text) for text in reasons)
+        now = (status, usable, alike[reasons])
+        if now != key:
+            if found:
+                found[-1] = _until(found[-1], at_s)
+            found.append(Span(at_s, at_s, status, usable if watched else None, reasons))
+            key = now
+    found[-1] = _until(found[-1], time_s[-1])
+    return [entry for entry in found if entry.reasons or entry.usable is False]
+
+
+def longest(found: list[Span], most: int = MOST_SPANS) -> list[Span]:
+    """At most so many spans, the longest ones, in the order of time."""
+    kept = sorted(found, key=lambda entry: entry.duration_s, reverse=True)[:most]
+    return sorted(kept, key=lambda entry: entry.start_s)
+
+
+def section(outcome: Outcome) -> dict[str, Any] | None:
+    """What the report says of the main estimator's integrity; None when there is nothing to say."""
+    result = outcome.results[outcome.main]
+    found = spans(result)
+    if not (result.watched or found):
+        return None
+    shown = longest(found)
+    rest = len(found) - len(shown)
+    return {
+        "summary": summary(outcome),
+        "spans": [(entry.when, entry.status, entry.fix, entry.why) for entry in shown],
+        "more": f"{rest} shorter ones are left out; metrics.json has them all." if rest else "",
+    }
+
+
+def summary(outcome: Outcome) -> str:
+    """How often a fix was offered, with what protection level, and whether that held."""
+    name = outcome.main
+    result, figures = outcome.results[name], outcome.metrics(name)
+    if not result.watched:
+        return f"No integrity monitor watched {name}."
+    offered = f"{name} offered a fix at {percent(figures['available'])} of the epochs"
+    if math.isnan(figures["protection_m"]):
+        return f"{offered}."
+    text = f"{offered}, with a protection level of {distance(figures['protection_m'])} (median)"
+    if math.isnan(figures["misleading"]):
+        return f"{text}."
+    if figures["misleading"] == 0.0:
+        return f"{text}; none of these fixes was farther from the truth than that allows."
+    return (
+        f"{text}; {percent(figures['misleading'], 1)} of these fixes were farther from the truth than that allows."
+    )
+
+
+def as_json(result: Result) -> list[dict[str, Any]]:
+    """Every span with something to explain, for machines."""
+    return [
+        {
+            "from_s": entry.start_s,
+            "to_s": entry.end_s,
+            "status": entry.status,
+            "usable": entry.usable,
+            "reasons": list(entry.reasons),
+        }
+        for entry in spans(result)
+    ]
+
+
+def _until(entry: Span, end_s: float) -> Span:
+    """The span with its end."""
+    return Span(entry.start_s, end_s, entry.status, entry.usable, entry.reasons)
