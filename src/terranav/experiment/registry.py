@@ -14,10 +14,12 @@ from terranav.core.checks import unknown_name
 from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator, Matcher
+from terranav.integrity.monitored import Monitored
 from terranav.maps.map import Map
 
 _ADAPTER = "windowed"  # makes an Estimator of a Matcher; not a method of its own
-_GIVEN = ("maps", "ins", "matcher")  # fields that are not settings
+_GIVEN = ("maps", "ins", "matcher", "estimator")  # fields that are not settings
+_WATCHED = ("innovations", "restarted", "excluding")  # a method that has these is watched by an integrity monitor
 
 
 def estimators() -> list[str]:
@@ -38,7 +40,8 @@ def make_estimator(
     ins : InsGrade
         What the estimator is told of the INS.
     **settings
-        Fields of the method's dataclass and, for a matcher, also those of `Windowed`.
+        Fields of the method's dataclass; for a matcher, also those of `Windowed`; for a method that an integrity
+        monitor can watch, also those of `Monitored`, and `integrity=False` for the method alone.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def estimator_name(estimator: str | Estimator[Any] | Matcher) -> str:
     """Return the name of a method: its module's for terranav's own, its class's for any other."""
     if isinstance(estimator, str):
         return estimator
-    inner = getattr(estimator, "matcher", estimator)
+    inner = _within(estimator)
     package, _, module = type(inner).__module__.rpartition(".")
     ours = package in (terranav.filters.__name__, terranav.matchers.__name__)
     return module if ours else type(inner).__name__
@@ -76,7 +79,12 @@ def estimator_name(estimator: str | Estimator[Any] | Matcher) -> str:
 
 def own_maps(estimator: str | Estimator[Any] | Matcher) -> tuple[Map, ...]:
     """Return the maps that an object holds, its matcher's if it has one; none for a name."""
-    return tuple(getattr(getattr(estimator, "matcher", estimator), "maps", ()))
+    return tuple(getattr(_within(estimator), "maps", ()))
+
+
+def _within(estimator: Any) -> Any:
+    """The method inside an adapter or a monitor, or the object itself."""
+    return getattr(estimator, "matcher", getattr(estimator, "estimator", estimator))
 
 
 def check_name(estimator: str | Estimator[Any] | Matcher) -> None:
@@ -101,6 +109,8 @@ def _from_name(name: str, maps: tuple[Map, ...], ins: InsGrade, settings: dict[s
     method = _class_in(f"{_homes()[name]}.{name}")
     given: dict[str, Any] = {"maps": maps, "ins": ins}
     given = {key: value for key, value in given.items() if key in _field_names(method)}
+    if all(hasattr(method, name) for name in _WATCHED):
+        return _monitored(name, method, given, settings)
     if hasattr(method, "step"):
         _check_settings(name, settings, _settings_of(method))
         return cast("Estimator[Any]", method(**given, **settings))
@@ -109,6 +119,20 @@ def _from_name(name: str, maps: tuple[Map, ...], ins: InsGrade, settings: dict[s
     _check_settings(name, rest, _settings_of(_adapter()), also=own)
     matcher = method(**given, **{key: value for key, value in settings.items() if key in own})
     return _windowed(matcher, ins, rest, name)
+
+
+def _monitored(name: str, method: type[Any], given: dict[str, Any], settings: dict[str, Any]) -> Estimator[Any]:
+    """Build a method and, unless told otherwise, the monitor that watches it."""
+    settings = dict(settings)
+    watched = settings.pop("integrity", True)
+    if not isinstance(watched, bool):
+        raise ConfigError(f"{name} integrity is {watched!r}, expected true or false")
+    own = _settings_of(method)
+    mine = {key: value for key, value in settings.items() if key in own}
+    rest = {key: value for key, value in settings.items() if key not in own}
+    _check_settings(name, rest, _settings_of(Monitored) if watched else [], also=(*own, "integrity"))
+    inner = method(**given, **mine)
+    return cast("Estimator[Any]", Monitored(inner, **rest) if watched else inner)
 
 
 def _windowed(matcher: Matcher, ins: InsGrade, settings: dict[str, Any], name: str) -> Estimator[Any]:

@@ -1,0 +1,1 @@
+"""Is this fix to be believed: consistency tests, protection level, recovery."""

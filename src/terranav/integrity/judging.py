@@ -1,0 +1,129 @@
+"""From what was found to what is said: status, protection level, usable or withheld, and why."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terranav.core.judgement import HYSTERESIS
+from terranav.core.records import Status
+from terranav.integrity import recovery, words
+from terranav.integrity.protection import FAR, protection_level
+from terranav.integrity.state import Anchor, MonitorState, Verdict
+from terranav.integrity.windows import LENGTHS, LONGEST, coloured, contradiction, excess
+
+if TYPE_CHECKING:
+    from terranav.integrity.monitored import Monitored
+
+SHARE = 0.5  # of the risk is for the posterior
+TOLD = 1.3  # sigmas that look so many times too small are said
+CLIP = 16.0
+
+
+def proven(monitor: Monitored, state: MonitorState) -> bool:
+    """Whether the fix has served its probation and has no rival left."""
+    standing = state.standing
+    return standing is not None and standing.readings >= monitor.probation and standing.reach_m == 0.0
+
+
+def protection(monitor: Monitored, state: MonitorState) -> float:
+    """Protection level from the posterior alone, widened by what the residuals say of it [m]."""
+    return protection_level(state.sigma_m, state.tail, SHARE * monitor.risk, _scale(monitor, state))
+
+
+def verdict(monitor: Monitored, state: MonitorState) -> Verdict:
+    """Judge the state."""
+    mean = _mean_nis(state)
+    if state.off_map:
+        reasons = ("the map says nothing where the readings were taken", *([state.lost] if state.lost else []))
+        return Verdict(Status.OFF_MAP, mean, math.inf if state.lost else protection(monitor, state), False, reasons)
+    if state.lost:
+        search = f"searching within {words.metres(state.spread_m)} (1 sigma), attempt {state.attempt}"
+        return Verdict(Status.LOST, mean, math.inf, False, (state.lost, search, *_left_out(state)))
+    level = protection(monitor, state)
+    unproven, complaints, notes = _unproven(monitor, state), _complaints(monitor, state), _left_out(state)
+    if state.standing is not None and state.standing.reach_m > level:
+        level = state.standing.reach_m
+    if not state.fixed:
+        return Verdict(Status.SEARCHING, mean, level, False, (*unproven, *complaints, *notes))
+    if unproven or complaints:
+        return Verdict(Status.DEGRADED, mean, level, False, (*unproven, *complaints, *notes))
+    withheld = []
+    if monitor.alert_limit_m is not None and level > monitor.alert_limit_m:
+        limit = words.metres(monitor.alert_limit_m)
+        withheld = [f"protection level {words.metres(level)} beyond the alert limit of {limit}"]
+    return Verdict(Status.CONVERGED, mean, level, not withheld, (*withheld, *notes))
+
+
+def anchors(monitor: Monitored, state: MonitorState) -> tuple[Anchor, ...]:
+    """The anchors, and the present estimate where it is proven and nothing speaks against it."""
+    if state.lost or not state.innovations or not state.fixed or not proven(monitor, state):
+        return state.anchors
+    if any(contradiction(window.nis, 1e-4) for window in state.windows if window.kind not in state.silent):
+        return state.anchors
+    return recovery.anchored(state, monitor.estimator.estimate(state.inner).cov_m2)
+
+
+def _unproven(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
+    """Why there is no proven fix, if there is none."""
+    standing, limit = state.standing, HYSTERESIS * monitor.converged_sigma_m
+    if standing is None or state.sigma_m > limit:
+        wanted = monitor.converged_sigma_m
+        return (f"not converged: sigma {words.metres(state.sigma_m)} (limit {words.metres(wanted)})",)
+    if standing.readings < monitor.probation:
+        return (f"on probation: {standing.readings} of {monitor.probation} readings since the fix",)
+    if standing.reach_m > 0.0:
+        return (words.elsewhere(-standing.best_m, standing.share),)
+    return ()
+
+
+def _complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
+    """What speaks against a fix that is proven."""
+    found = []
+    for window in state.windows:
+        if window.kind in state.silent or not window.seen:
+            continue
+        if poor := contradiction(window.nis, monitor.false_alarm) or excess(window.nis, monitor.false_alarm):
+            found.append(words.contradicts(window.kind, poor))
+        if alike := coloured(window, monitor.false_alarm):
+            found.append(words.alike(window.kind, alike))
+        if state.factor(window.kind) >= TOLD:
+            found.append(words.noisy(window.kind, state.factor(window.kind)))
+    if state.tail.far > FAR:
+        found.append(
+            f"{100.0 * state.tail.far:.2g} % of the posterior lies apart, up to {words.metres(state.tail.reach_m)}"
+        )
+    assert state.epoch is not None
+    silence = state.epoch.time_s - state.last_s
+    if silence > monitor.outage_s:
+        found.append(f"no reading that the map answers for {words.lasting(silence)}")
+    seen = [window.kind for window in state.windows if window.seen]
+    if seen and state.silent.issuperset(seen):
+        found.append("no reading is left to hold the position")
+    return tuple(found)
+
+
+def _left_out(state: MonitorState) -> tuple[str, ...]:
+    """Kinds that move nothing, and why."""
+    return tuple(f"{one.kind} left out: {one.reason}" for one in state.left_out)
+
+
+def _mean_nis(state: MonitorState) -> float:
+    """Mean NIS of the latest readings of all kinds that count."""
+    parts = [w.nis[-LENGTHS[1] :] for w in state.windows if len(w) and w.kind not in state.silent]
+    return float(np.concatenate(parts).mean()) if parts else math.nan
+
+
+def _scale(monitor: Monitored, state: MonitorState) -> float:
+    """How many times larger the error may be than the covariance says: by NIS and correlation of the residuals."""
+    scale2 = 1.0
+    for window in state.windows:
+        if window.kind in state.silent or len(window) < LENGTHS[1]:
+            continue
+        mean = float(np.minimum(window.nis, CLIP).mean())
+        alike = coloured(window, monitor.false_alarm) if len(window) >= LONGEST else None
+        rho = min(alike.figure, 0.9) if alike is not None else 0.0
+        scale2 = max(scale2, mean * (1.0 + rho) / (1.0 - rho))
+    return math.sqrt(scale2)

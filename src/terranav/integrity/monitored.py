@@ -1,0 +1,235 @@
+"""Monitored: an estimator that is watched, started anew when it is lost, and believed only for good reasons.
+
+After each step of the watched estimator its innovations are tested (`windows`), the places that the readings would fit
+as well are weighed (`rivals`), and what does not go together is mended: a sensor that hangs or a map that contradicts
+the others is left out, sigmas that are too small are raised, and an estimate that the readings contradict is thrown
+away and searched for around the last good one (`recovery`). Then follow status, protection level and reasons.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from terranav.core.checks import finite
+from terranav.core.errors import ConfigError
+from terranav.core.ins_grade import InsGrade
+from terranav.core.judgement import HYSTERESIS, largest_sigma_m
+from terranav.core.protocols import Watched
+from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
+from terranav.integrity import judging, mending, rivals
+from terranav.integrity.protection import Tail, tail_of
+from terranav.integrity.state import MonitorState
+from terranav.integrity.windows import Window, noise_factor
+from terranav.maps.map import Map
+
+RIVALS_SIGMA = 4.0  # how far rivals are looked for, in sigmas of the area that was searched
+FARTHEST_M, FARTHEST_CELLS = 6000.0, 60.0  # but no farther than the larger of these
+BUDGET = 0.5  # of the risk for the posterior, and as much for the rivals
+GAP_MEMORY = 0.1
+
+
+@dataclass(frozen=True)
+class Monitored:
+    """An estimator and its integrity monitor.
+
+    Attributes
+    ----------
+    estimator : Watched
+        What is watched; `maps` and `ins` are its own.
+    risk : float
+        Declared probability that the error of a usable fix exceeds its protection level, in (0, 0.1].
+    alert_limit_m : float or None
+        A fix whose protection level is larger is withheld [m].
+    false_alarm : float
+        Probability per window of readings as told that a test of the monitor fails, in (0, 0.01].
+    probation : int
+        Readings after a fix before it is believed, >= 1.
+    outage_s : float
+        A fix is withheld when no reading was answered by a map for longer, > 0 [s].
+    most_spread_m : float
+        Largest sigma of the area that is searched for a lost position, > 0 [m].
+
+    Raises
+    ------
+    ConfigError
+        For a setting out of its range, or an estimator that cannot be watched.
+    """
+
+    estimator: Watched[Any]
+    risk: float = 1e-3
+    alert_limit_m: float | None = None
+    false_alarm: float = 1e-6
+    probation: int = 20
+    outage_s: float = 300.0
+    most_spread_m: float = 20_000.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.estimator, Watched):
+            raise ConfigError(
+                f"monitored estimator is {self.estimator!r}, expected one with innovations, restarted and excluding"
+            )
+        finite("monitored risk", self.risk, above=0.0, maximum=0.1)
+        finite("monitored false_alarm", self.false_alarm, above=0.0, maximum=0.01)
+        finite("monitored outage_s", self.outage_s, above=0.0)
+        finite("monitored most_spread_m", self.most_spread_m, above=0.0)
+        if self.alert_limit_m is not None:
+            finite("monitored alert_limit_m", self.alert_limit_m, above=0.0)
+        if isinstance(self.probation, bool) or not isinstance(self.probation, int) or self.probation < 1:
+            raise ConfigError(f"monitored probation is {self.probation!r}, expected a whole number of readings >= 1")
+
+    @property
+    def maps(self) -> tuple[Map, ...]:
+        """Of the estimator."""
+        return tuple(getattr(self.estimator, "maps", ()))
+
+    @property
+    def ins(self) -> InsGrade:
+        """What the estimator is told of the INS."""
+        grade: InsGrade = getattr(self.estimator, "ins", InsGrade())
+        return grade
+
+    @property
+    def converged_sigma_m(self) -> float:
+        """Largest axis that counts as a fix: the estimator's own, or the finest map's cell [m]."""
+        own = getattr(self.estimator, "converged_sigma_m", None)
+        return float(own) if own is not None else min(chart.cell_m for chart in self.maps)
+
+    def init(self, prior: Prior, rng: Generator) -> MonitorState:
+        """State before the first epoch."""
+        windows = tuple(Window(chart.kind) for chart in self.maps)
+        return MonitorState(self.estimator.init(prior, rng), prior, windows=windows)
+
+    def step(self, state: MonitorState, epoch: Epoch, rng: Generator) -> MonitorState:
+        """Step the estimator, test, mend, judge."""
+        kinds = {chart.kind for chart in self.maps}
+        told = _with_factors(epoch, state)
+        inner = self.estimator.step(state.inner, told, rng)
+        readings = tuple(reading for reading in told.measurements if reading.kind in kinds)
+        innovations = self.estimator.innovations(inner)
+        start_s = epoch.time_s if state.epoch is None else state.start_s
+        after = replace(state, inner=inner, epoch=told, start_s=start_s, innovations=innovations)
+        after = self._located(after, readings)
+        after = self._weighed(_seen(after, readings, self.outage_s), readings)
+        after = _settled(self, mending.mended(self, after, rng))
+        return replace(after, verdict=judging.verdict(self, after), anchors=judging.anchors(self, after))
+
+    def estimate(self, state: MonitorState) -> Estimate:
+        """The estimate with the monitor's verdict."""
+        verdict = state.verdict
+        return replace(
+            self.estimator.estimate(state.inner),
+            status=verdict.status,
+            nis=verdict.nis,
+            protection_m=verdict.protection_m,
+            usable=verdict.usable,
+            reasons=verdict.reasons,
+        )
+
+    def posterior(self, state: MonitorState) -> Posterior:
+        """Of the estimator."""
+        return self.estimator.posterior(state.inner)
+
+    def _located(self, state: MonitorState, readings: tuple[Measurement, ...]) -> MonitorState:
+        """Where the estimate is now, and how far its cloud reaches; rivals of an estimate that jumped are gone."""
+        estimate = self.estimator.estimate(state.inner)
+        sigma = largest_sigma_m(estimate.cov_m2)
+        field = state.rivals
+        if field is not None:
+            jump = float(np.hypot(*(estimate.ins_error_m - state.mean_m)))
+            allowed = max(rivals.NEAR * field.spacing_m, 4.0 * state.sigma_m)
+            if jump > allowed or sigma > HYSTERESIS * self.converged_sigma_m:
+                field = None
+        tail = state.tail
+        if readings and sigma <= HYSTERESIS * self.converged_sigma_m:
+            tail = tail_of(self.estimator.posterior(state.inner), estimate.ins_error_m, BUDGET * self.risk)
+        elif readings:
+            tail = Tail()
+        return replace(
+            state,
+            mean_m=estimate.ins_error_m,
+            sigma_m=sigma,
+            spread_m=max(state.spread_m, sigma),
+            tail=tail,
+            rivals=field,
+            standing=state.standing if field is not None else None,
+        )
+
+    def _weighed(self, state: MonitorState, readings: tuple[Measurement, ...]) -> MonitorState:
+        """Rivals from the first fix on, and what these readings say of them."""
+        pairs = list(zip(readings, state.innovations, strict=True))
+        used = [reading for reading, one in pairs if one.used and one.known > 0.5]
+        if not used or state.epoch is None:
+            return state
+        if state.rivals is None:
+            if state.sigma_m > self.converged_sigma_m:
+                return state
+            cell = min(chart.cell_m for chart in self.maps)
+            reach = min(RIVALS_SIGMA * state.spread_m, max(FARTHEST_M, FARTHEST_CELLS * cell))
+            field = rivals.Rivals.within(reach, 0.5 * cell)
+        else:
+            field = state.rivals
+            charts = {chart.kind: chart for chart in self.maps}
+            windows = {window.kind: window for window in state.windows}
+            for reading in used:
+                field = rivals.weighed(
+                    field,
+                    state.epoch,
+                    reading,
+                    charts[reading.kind],
+                    state.mean_m,
+                    factor=noise_factor(windows[reading.kind].nis),
+                    budget=BUDGET * self.risk,
+                )
+        near = judging.protection(self, state)
+        return replace(state, rivals=field, standing=rivals.standing(field, BUDGET * self.risk, near))
+
+
+def _seen(state: MonitorState, readings: tuple[Measurement, ...], outage_s: float) -> MonitorState:
+    """The windows with these readings; after a gap they start afresh."""
+    pairs = list(zip(readings, state.innovations, strict=True))
+    compared = [(reading, one) for reading, one in pairs if one.known > 0.5 and one.variance > 0.0]
+    if pairs:
+        state = replace(state, off_map=not compared)
+    if not compared or state.epoch is None:
+        return state
+    now = state.epoch.time_s
+    gap = now - state.last_s
+    windows = state.windows
+    if gap > max(outage_s, 10.0 * state.gap_s if math.isfinite(state.gap_s) else 0.0):
+        windows = tuple(window.cleared() for window in windows)
+    by_kind = {window.kind: window for window in windows}
+    for reading, one in compared:
+        by_kind[one.kind] = by_kind[one.kind].plus(one, reading.value)
+    if math.isfinite(gap) and gap > 0.0:
+        typical = state.gap_s + GAP_MEMORY * (gap - state.gap_s) if math.isfinite(state.gap_s) else gap
+        state = replace(state, gap_s=typical)
+    count = len(compared)
+    return replace(
+        state,
+        windows=tuple(by_kind.values()),
+        readings=state.readings + count,
+        since=state.since + count,
+        last_s=now,
+    )
+
+
+def _with_factors(epoch: Epoch, state: MonitorState) -> Epoch:
+    """The epoch with the sigmas of its readings as they look, where they look larger than told."""
+    if not state.factors:
+        return epoch
+    scaled: list[Measurement] = []
+    for reading in epoch.measurements:
+        scaled.append(replace(reading, sigma=reading.sigma * state.factor(reading.kind)))
+    return replace(epoch, measurements=tuple(scaled))
+
+
+def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
+    """A fix that has proved itself: the position is found (again)."""
+    if not judging.proven(monitor, state) or state.sigma_m > HYSTERESIS * monitor.converged_sigma_m:
+        return state
+    return replace(state, fixed=True, lost="", attempt=0)

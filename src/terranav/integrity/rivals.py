@@ -1,0 +1,194 @@
+"""Rival places: would the readings since the fix fit elsewhere as well?
+
+A posterior that has settled on one place says how well the readings fit there, not whether they would have fitted
+elsewhere: particles that were lost, or a prior that left the truth out, are not in it. So from the moment of a fix,
+rivals are kept on a lattice around the estimate, as far as the INS could be off, and move with it. Their likelihood
+against the estimate's counts only readings that came after the fix and had no part in choosing it. The fix is believed
+when all rivals together are less probable than the risk, where they start with even odds. On flat land, and where the
+ground repeats itself, that never happens, however certain the posterior is. This is the multiple-hypothesis test of
+integrity monitoring (Blanch et al., Baseline advanced RAIM user algorithm, IEEE Trans. Aerospace and Electronic Systems
+51, 2015, section III) with places for faults.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terranav.core.kinds import KINDS
+from terranav.core.records import Epoch, Measurement
+from terranav.kernels import integrity as kernels
+from terranav.maps.map import Map
+
+FloatArray = NDArray[np.float64]
+
+SIDE = 45  # of the lattice, in places
+CERTAIN = 14.0  # the probability of a rival sinks to exp(-14) of the risk and no further, so that it can come back
+FADING = 0.95  # memory of what is recent: 20 readings
+NEAR = 3.0  # rivals within so many spacings belong to the estimate's own surroundings
+SUPPORT = -2.0  # recent log ratio of the best rival below which the readings speak for the estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one kind of reading says: each place's bias, their common variance, recent log ratios, and how many."""
+
+    bias: FloatArray
+    variance: float
+    recent: FloatArray
+    readings: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Rivals:
+    """Places around an estimate, the first the estimate itself.
+
+    Attributes
+    ----------
+    spacing_m : float
+    shift_m : (n, 2) float64
+        How far each has followed the slope of the map within its cell.
+    odds : (n,) float64
+        Log likelihood ratio against the estimate.
+    evidence : tuple of (kind, Evidence)
+    """
+
+    spacing_m: float
+    shift_m: FloatArray
+    odds: FloatArray
+    evidence: tuple[tuple[str, Evidence], ...] = ()
+    readings: int = 0
+
+    @classmethod
+    def within(cls, reach_m: float, finest_m: float) -> Rivals:
+        """Rivals as far as `reach_m`, but not closer than `finest_m`."""
+        n = len(_lattice()[0])
+        spacing = max(reach_m / (SIDE // 2), finest_m)
+        return cls(spacing, np.zeros((n, 2)), np.zeros(n))
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest."""
+        return self.spacing_m * (SIDE // 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How the rivals stand.
+
+    Attributes
+    ----------
+    reach_m : float
+        No more than the risk lies beyond [m].
+    share : float
+        Probability of all rivals outside the estimate's surroundings.
+    best_m : (2,) float64
+        Offset of the INS error of the likeliest from the estimate's [m].
+    readings : int
+        That have been weighed.
+    """
+
+    reach_m: float
+    share: float
+    best_m: FloatArray
+    readings: int
+
+
+def weighed(
+    rivals: Rivals,
+    epoch: Epoch,
+    reading: Measurement,
+    chart: Map,
+    centre_m: FloatArray,
+    *,
+    factor: float,
+    budget: float,
+) -> Rivals:
+    """The rivals after one more reading.
+
+    Parameters
+    ----------
+    rivals : Rivals
+    epoch : Epoch
+        Where the INS indicated to be.
+    reading : Measurement
+    chart : Map
+    centre_m : (2,) the estimated INS error [m]
+    factor : float
+        How many times larger the noise is taken than told.
+    budget : float
+        Probability that is counted as refuted.
+    """
+    node = _lattice()[0] * rivals.spacing_m
+    n = len(node)
+    before = dict(rivals.evidence).get(reading.kind)
+    if before is None:
+        sigma = KINDS[reading.kind].bias_sigma
+        before = Evidence(np.zeros(n), (10.0 * sigma) ** 2 + chart.sigma**2, np.zeros(n))
+    far = float(np.hypot(*centre_m)) + 1.5 * rivals.reach_m
+    frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(far, chart.cell_m))
+    white = (factor * reading.sigma) ** 2
+    out = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
+    numbers = (
+        reading.value, white, before.variance, rivals.spacing_m**2 / 12.0, rivals.spacing_m,
+        math.log(budget) - CERTAIN, FADING,
+    )  # fmt: skip
+    kernels.weigh_rivals(
+        chart.values, np.stack([frame.row, frame.col]), centre_m, node, rivals.shift_m, before.bias, rivals.odds,
+        before.recent, np.array(numbers), out,
+    )  # fmt: skip
+    shift, bias, odds, recent = out
+    settled = before.variance * white / (before.variance + white)
+    after = Evidence(bias, settled + 0.5 * chart.sigma**2, recent, before.readings + 1)
+    others = tuple(pair for pair in rivals.evidence if pair[0] != reading.kind)
+    return replace(
+        rivals,
+        shift_m=shift,
+        odds=odds,
+        evidence=(*others, (reading.kind, after)),
+        readings=rivals.readings + 1,
+    )
+
+
+def standing(rivals: Rivals, budget: float, near_m: float) -> Standing:
+    """How the rivals stand; those nearer than `near_m` or three spacings are no rivals.
+
+    Parameters
+    ----------
+    rivals : Rivals
+    budget : float
+        Probability that may be left out.
+    near_m : float [m]
+    """
+    nodes, distance, order = _lattice()
+    near = max(near_m / rivals.spacing_m, NEAR)
+    reach, share, best, _ = kernels.reach_of_rivals(distance, order, rivals.odds, budget, near, rivals.odds)
+    return Standing(reach * rivals.spacing_m, share, nodes[best] * rivals.spacing_m, rivals.readings)
+
+
+def supports(rivals: Rivals, kind: str, near_m: float) -> bool:
+    """Whether the latest readings of a kind speak for the estimate against every rival."""
+    evidence = dict(rivals.evidence).get(kind)
+    if evidence is None:
+        return False
+    _, distance, order = _lattice()
+    near = max(near_m / rivals.spacing_m, NEAR)
+    *_, best = kernels.reach_of_rivals(distance, order, rivals.odds, 1.0, near, evidence.recent)
+    return bool(best < SUPPORT)
+
+
+@lru_cache(maxsize=1)
+def _lattice() -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Offsets within a disc in spacings, the centre first; their distances; the places by falling distance."""
+    at = np.arange(SIDE) - SIDE // 2
+    north, east = (axis.ravel().astype(np.float64) for axis in np.meshgrid(at, at, indexing="ij"))
+    inside = np.hypot(north, east) <= SIDE // 2 + 0.5
+    nodes = np.stack([north[inside], east[inside]], axis=1)
+    distance = np.hypot(*nodes.T)
+    rising = np.argsort(distance, kind="stable")
+    nodes, distance = np.ascontiguousarray(nodes[rising]), distance[rising]
+    return nodes, distance, np.argsort(-distance, kind="stable")
