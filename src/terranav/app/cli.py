@@ -20,6 +20,7 @@ from terranav.app.commands.estimators import estimators
 from terranav.app.commands.reproduce import reproduce
 from terranav.app.commands.run import run
 from terranav.app.commands.simulate import simulate
+from terranav.app.commands.study import study
 from terranav.app.console import INCOMPLETE, OK, STOPPED, WRONG, complain, data_warnings, silence_broken_pipe
 from terranav.core.errors import TerranavError
 
@@ -33,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, compare, simulate, convert, cue, campaign):
+for command in (demo, run, compare, simulate, convert, cue, campaign, study):
     app.command()(command)
 app.add_typer(maps.app, name="map")
 app.command()(reproduce)

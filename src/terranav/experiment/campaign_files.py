@@ -1,4 +1,4 @@
-"""The folder of a campaign: what it is, and one Parquet file for each chunk that is done.
+"""The folder of a campaign or a study: what it is, and one Parquet file for each chunk that is done.
 
 Every file is written aside and renamed, so a chunk is either there and whole, or not there. What a kill leaves behind
 is a part beside it, which is cleared away.
@@ -22,8 +22,7 @@ from terranav.core.errors import ConfigError, DataError, DataWarning
 from terranav.io.files import replacing
 from terranav.io.results import read_result_table, write_result_table
 
-MANIFEST, SUMMARY = "campaign.json", "summary.json"
-_FORMAT = "terranav-campaign-1"
+SUMMARY = "summary.json"
 
 Columns = dict[str, NDArray[Any]]
 
@@ -37,10 +36,25 @@ class Folder:
     path : Path
     fingerprint : str
         Of the campaign that it is for.
+    what : str
+        What it holds, for messages and the manifest's name: 'campaign' or 'study'.
+    differs : str
+        What may differ when the fingerprint does, for messages.
     """
 
     path: Path
     fingerprint: str
+    what: str = "campaign"
+    differs: str = "its file, a scenario or a map"
+
+    @property
+    def manifest(self) -> Path:
+        """The file that says what the folder is."""
+        return self.path / f"{self.what}.json"
+
+    @property
+    def _format(self) -> str:
+        return f"terranav-{self.what}-1"
 
     def begin(self, facts: Mapping[str, Any], *, resume: bool) -> None:
         """Make the folder this campaign's, or see that it is.
@@ -67,18 +81,20 @@ class Folder:
         except OSError as problem:
             raise DataError(f"{self.path}: cannot be written ({problem.strerror}), expected a folder") from None
         if held and not resume:
-            what = "holds a campaign" if (self.path / MANIFEST).exists() else "is not empty"
+            what = f"holds a {self.what}" if self.manifest.exists() else "is not empty"
             raise ConfigError(f"{self.path}: {what} already, expected a new folder, or --resume to go on with it")
         for part in self.path.glob(".*.part"):
             with suppress(OSError):
                 part.unlink()
-        if (self.path / MANIFEST).exists():
+        if self.manifest.exists():
             self._check()
         elif held:
-            raise ConfigError(f"{self.path}: is not empty and holds no {MANIFEST}, expected the folder of a campaign")
+            raise ConfigError(
+                f"{self.path}: is not empty and holds no {self.manifest.name}, expected the folder of a {self.what}"
+            )
         else:
-            manifest = {"format": _FORMAT, "terranav": __version__, "fingerprint": self.fingerprint, **facts}
-            with replacing(self.path / MANIFEST) as aside:
+            manifest = {"format": self._format, "terranav": __version__, "fingerprint": self.fingerprint, **facts}
+            with replacing(self.manifest) as aside:
                 aside.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
 
     def chunk_path(self, number: int) -> Path:
@@ -122,7 +138,7 @@ class Folder:
         """Why a readable file is not the chunk; empty when it is."""
         said = metadata.get("fingerprint", b"").decode(), metadata.get("chunk", b"").decode()
         if said != (self.fingerprint, str(number)):
-            return "is a chunk of another campaign or place"
+            return f"is a chunk of another {self.what} or place"
         if not {"scenario", "estimator", "run"} <= set(columns):
             return "lacks columns"
         held = list(zip(*(columns[key].tolist() for key in ("scenario", "estimator", "run")), strict=True))
@@ -130,13 +146,13 @@ class Folder:
 
     def _check(self) -> None:
         """Raise ConfigError unless the folder's manifest is this campaign's."""
-        path = self.path / MANIFEST
+        path = self.manifest
         try:
             manifest = json.loads(path.read_text(encoding="utf-8"))
-            if not isinstance(manifest, dict) or manifest.get("format") != _FORMAT:
+            if not isinstance(manifest, dict) or manifest.get("format") != self._format:
                 raise ValueError
         except (OSError, ValueError):
-            raise DataError(f"{path}: is not readable, expected the manifest of a campaign") from None
+            raise DataError(f"{path}: is not readable, expected the manifest of a {self.what}") from None
         if manifest.get("terranav") != __version__:
             raise ConfigError(
                 f"{self.path}: was begun with terranav {manifest.get('terranav')}, this is {__version__}, "
@@ -144,8 +160,8 @@ class Folder:
             )
         if manifest.get("fingerprint") != self.fingerprint:
             raise ConfigError(
-                f"{self.path}: holds another campaign ({manifest.get('name')!r}: its file, a scenario or a map "
-                "differs), expected the same one or a new folder"
+                f"{self.path}: holds another {self.what} ({manifest.get('name')!r}: {self.differs} differs), "
+                "expected the same one or a new folder"
             )
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,13 +30,14 @@ def campaign(
 ) -> int:
     """Run scenarios x estimators x seeds, and sum them up with 95 % intervals; a killed campaign can be resumed."""
     from terranav.app.console import INCOMPLETE, OK, complain, show, show_json
+    from terranav.app.progress import run_bar
     from terranav.core.checks import finite
     from terranav.experiment.campaign import Campaign, run_campaign, summary_facts
     from terranav.experiment.montecarlo import Threads
 
     threads = None if workers is None else Threads(int(finite("--workers", workers, minimum=1)))
     plan = Campaign.from_toml(file)
-    with _progress() as on_run:
+    with run_bar() as on_run:
         result = run_campaign(plan, out, resume=resume, executor=threads, on_run=on_run)
     summaries = result.summary()
     rows = len(result.columns["run"])
@@ -82,18 +80,3 @@ def _text(interval: Interval, scale: float = 1.0) -> str:
     from terranav.app.words import NOTHING
 
     return interval.text(0, scale) if math.isfinite(interval.value) else NOTHING
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[int, int], None] | None]:
-    """Give a callback that moves a bar with the time left on stderr; None when stderr is no terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
-    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
-        task = bar.add_task("runs", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -1,0 +1,153 @@
+"""Runs over informative tracks in a world that is what the navigator assumes: what `bound` and `consistency` sum up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from terranav.core.errors import StateError
+from terranav.experiment.metrics import consistency
+from terranav.experiment.registry import make_estimator
+from terranav.experiment.result import Result
+from terranav.experiment.run import run
+from terranav.experiment.studies.sources import data_folder, terrain_sources
+from terranav.experiment.studies.study import Plan, Setup
+from terranav.experiment.studies.tracks import (
+    CANDIDATES,
+    INS,
+    LEAST_SLOPE,
+    Track,
+    World,
+    drawn_tracks,
+    settled_index,
+    track_bound,
+)
+from terranav.experiment.studies.world import flown
+
+TRACKS = 7  # on each map
+ESTIMATOR = "marginalized"
+TESTED = 5  # epochs at which the NEES is tested: evenly spread, the last is the last
+LOST_M = 1000.0
+#: a status that offers a position
+OFFERED = ("converged", "degraded")
+
+
+@dataclass(frozen=True)
+class MatchedCase:
+    """A track and the settings of the estimator that flies it."""
+
+    track: Track
+    settings: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The track's."""
+        return self.track.name
+
+    @property
+    def map_name(self) -> str:
+        """The map's."""
+        return self.track.source.name
+
+    def world(self) -> World:
+        """The world that the estimator with these settings assumes."""
+        known = {entry.name for entry in fields(World)} - {"bias_sigma"}
+        return World(**{key: value for key, value in self.settings if key in known})
+
+    def facts(self) -> Mapping[str, Any]:
+        """What its figures depend on."""
+        return {**self.track.facts(), "settings": dict(self.settings), "ins": repr(INS)}
+
+
+def plan(setup: Setup) -> Plan:
+    """Draw the tracks of every terrain map at hand.
+
+    Raises
+    ------
+    ConfigError
+        A setting that the estimator does not have, or a map that is not there.
+    """
+    settings = tuple(sorted(setup.settings.items()))
+    tracks, notes = informative_tracks(setup, TRACKS)
+    if tracks:
+        make_estimator(ESTIMATOR, (tracks[0].chart,), INS, **setup.settings)
+    return Plan([MatchedCase(track, settings) for track in tracks], notes)
+
+
+def informative_tracks(setup: Setup, count: int) -> tuple[list[Track], list[str]]:
+    """Tracks of all maps, so many on each, and what to say about it."""
+    data = data_folder(setup.data)
+    tracks: list[Track] = []
+    notes = []
+    wanted = count if setup.tracks is None else setup.tracks
+    for source in terrain_sources(data, setup.maps):
+        drawn = drawn_tracks(source, wanted, setup.seed)
+        tracks += drawn.tracks
+        if len(drawn.tracks) < wanted:
+            notes.append(
+                f"{source.name}: {len(drawn.tracks)} of {wanted} tracks, no more among {CANDIDATES} candidates are "
+                f"whole, of an rms slope >= {LEAST_SLOPE:g} and informative by the bound"
+            )
+    if data is None and not setup.maps:
+        notes.append(
+            "only the sample DEM is at hand: name a folder of terrain maps (--data DIR, or TERRANAV_SHARED) or maps "
+            "(--map FILE)"
+        )
+    return tracks, notes
+
+
+def run_case(case: MatchedCase, seeds: SeedSequence) -> dict[str, float]:
+    """One flight in the matched world.
+
+    Returns
+    -------
+    dict
+        mse_m2, bound_m2: mean over the epochs that count of the squared distance from the truth, and of the bound's
+        trace. nees_0 ..: NEES (2 degrees of freedom) at the tested epochs. contained_95, max_m: over the epochs that
+        count. lost, unsaid: as of `losses`.
+    """
+    world, estimator = seeds.spawn(2)
+    rec = flown(case.track, case.world(), np.random.default_rng(world)).rec
+    seed = int(estimator.generate_state(1)[0])
+    result = run(ESTIMATOR, rec, [case.track.chart], seed=seed, **dict(case.settings))
+    lowest = track_bound(case.track, case.world())
+    first = settled_index(track_bound(case.track))
+    if first is None:
+        raise StateError(f"{case.name}: the bound does not come down")
+    return {"bound_m2": float(np.mean(lowest.drms_m[first:] ** 2)), **figures(result, first)}
+
+
+def figures(result: Result, first: int) -> dict[str, float]:
+    """Figures of a run from its epoch `first` on; see `run_case`."""
+    error, cov = result.error_m[first:], result.cov_m2[first:]
+    distance = np.hypot(*error.T)
+    whole = consistency(error, cov)
+    tested = np.linspace(0, len(error) - 1, TESTED).round().astype(int)
+    nees = {f"nees_{i}": consistency(error[k : k + 1], cov[k : k + 1])["nees"] for i, k in enumerate(tested.tolist())}
+    return {
+        "mse_m2": float(np.mean(distance**2)), "max_m": float(distance.max()), "nees": whole["nees"],
+        "contained_95": whole["contained_95"], **nees, **losses(result, first),
+    }  # fmt: skip
+
+
+def losses(result: Result, first: int) -> dict[str, float]:
+    """Whether a run is lost: `lost` when it ends beyond 1 km, `unsaid` when it is beyond 1 km at any epoch from `first`
+    on with a status that offers a position (converged or degraded).
+    """
+    distance = np.hypot(*result.error_m.T)
+    offered = np.isin(result.status, OFFERED)
+    return {
+        "lost": float(distance[-1] > LOST_M),
+        "unsaid": float(bool((offered & (distance > LOST_M))[first:].any())),
+        "first_fix_s": result.metrics()["first_fix_s"],
+    }
+
+
+def rms(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    """Root of a mean of squares that are given; NaN for none."""
+    return math.sqrt(float(np.mean(values))) if values.size else math.nan
