@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from terranav.experiment.run import run
     from terranav.experiment.scenario import Scenario
     from terranav.experiment.simulate import simulate
+    from terranav.experiment.smooth import smooth
     from terranav.experiment.stream import stream
     from terranav.ins.drift import add_drift
     from terranav.io.rasters import open_map
@@ -66,6 +67,7 @@ _HOME = {
     "experiment.run": ("run",),
     "experiment.scenario": ("Scenario",),
     "experiment.simulate": ("simulate",),
+    "experiment.smooth": ("smooth",),
     "experiment.stream": ("stream",),
     "ins.drift": ("add_drift",),
     "io.rasters": ("open_map",),
@@ -111,6 +113,7 @@ __all__ = [
     "run",
     "sample_map",
     "simulate",
+    "smooth",
     "stream",
     "write_recording",
 ]

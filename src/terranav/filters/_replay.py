@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
 
 from numpy.random import Generator
 
@@ -38,6 +38,18 @@ class Flown(Generic[S]):
     checkpoints: list[tuple[S, Generator]]
     stride: int
 
+    @property
+    def method(self) -> Any:
+        """The estimator itself, or the one that it watches."""
+        return method_of(self.estimator)
+
+    def estimate(self, state: S, **moments: Any) -> Estimate:
+        """What the estimator would say, had the method's state these moments."""
+        inner = getattr(state, "inner", None)
+        changed: Any = state
+        changed = replace(changed, **moments) if inner is None else replace(changed, inner=replace(inner, **moments))
+        return self.estimator.estimate(changed)
+
     def backwards(self) -> Iterator[tuple[int, S]]:
         """(index, state) of every epoch from the last to the first: about 2 sqrt(n) states at a time."""
         for part in reversed(range(len(self.checkpoints))):
@@ -49,6 +61,16 @@ class Flown(Generic[S]):
                 states.append(state)
             for k in reversed(range(len(states))):
                 yield first + k, states.pop()
+
+
+def method_of(estimator: Any) -> Any:
+    """The estimator that an integrity monitor watches, or the estimator itself."""
+    return getattr(estimator, "estimator", estimator)
+
+
+def inner_of(state: Any) -> Any:
+    """The state of the method, where a monitor's holds it."""
+    return getattr(state, "inner", state)
 
 
 def flown(

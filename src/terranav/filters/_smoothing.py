@@ -10,8 +10,9 @@ from typing import Any
 from numpy.random import Generator
 
 from terranav.core.judgement import largest_sigma_m
+from terranav.core.protocols import Estimator
 from terranav.core.records import Epoch, Estimate, Prior, Status
-from terranav.filters._replay import flown
+from terranav.filters._replay import flown, method_of
 from terranav.filters._smoothing_marginalized import smooth_marginalized
 from terranav.filters._smoothing_pointmass import smooth_pointmass
 from terranav.filters.marginalized import Marginalized
@@ -30,8 +31,13 @@ class Smoothed:
     last: Any
 
 
+def can_be_smoothed(estimator: Any) -> bool:
+    """Whether an estimator, or the one that it watches, has a smoother."""
+    return isinstance(method_of(estimator), tuple(SMOOTHED.values()))
+
+
 def smooth_epochs(
-    estimator: Marginalized | PointMass,
+    estimator: Estimator[Any],
     prior: Prior,
     epochs: Sequence[Epoch],
     rng: Generator,
@@ -43,7 +49,8 @@ def smooth_epochs(
 
     Parameters
     ----------
-    estimator : Marginalized or PointMass
+    estimator : Estimator
+        For which `can_be_smoothed`.
     prior : Prior
     epochs : sequence of Epoch, (n,), n >= 1
     rng : Generator
@@ -60,27 +67,28 @@ def smooth_epochs(
         'converged' where the smoothed sigma is within the limit of a fix. Protection level and usability are the
         business of a monitor that watched in flight, and do not carry over.
     """
+    flight = flown(estimator, prior, epochs, rng, on_epoch)
 
     def later(done: int) -> None:
         on_epoch(len(epochs) + done)
 
-    if isinstance(estimator, Marginalized):
-        by_cloud = flown(estimator, prior, epochs, rng, on_epoch)
-        found, filtered, last = smooth_marginalized(by_cloud, backward_rng, later), by_cloud.estimates, by_cloud.last
+    if isinstance(flight.method, Marginalized):
+        found = smooth_marginalized(flight, backward_rng, later)
     else:
-        by_grid = flown(estimator, prior, epochs, rng, on_epoch)
-        found, filtered, last = smooth_pointmass(by_grid, later), by_grid.estimates, by_grid.last
-    limit_m = estimator._judge.converged_sigma_m
-    return Smoothed(filtered, _judged(filtered, found, limit_m), last)
+        found = smooth_pointmass(flight, later)
+    limit_m = flight.method._judge.converged_sigma_m
+    return Smoothed(flight.estimates, _judged(flight.estimates, found, limit_m), flight.last)
 
 
 def _judged(filtered: list[Estimate], smoothed: list[Estimate], limit_m: float) -> list[Estimate]:
-    """The smoothed estimates with their statuses, and nothing of what a monitor said in flight."""
+    """The smoothed estimates with their statuses, and nothing of what a monitor offered in flight."""
     fixes = [k for k, one in enumerate(filtered) if one.status is Status.CONVERGED]
     first_fix = fixes[0] if fixes else 0
     found = []
     for k, (before, after) in enumerate(zip(filtered, smoothed, strict=True)):
         known = k < first_fix and before.status is Status.SEARCHING and largest_sigma_m(after.cov_m2) <= limit_m
-        status = Status.CONVERGED if known else before.status
-        found.append(replace(after, status=status, nis=before.nis, protection_m=math.nan, usable=False))
+        status, reasons = (Status.CONVERGED, ()) if known else (before.status, before.reasons)
+        found.append(
+            replace(after, status=status, nis=before.nis, reasons=reasons, protection_m=math.nan, usable=False)
+        )
     return found

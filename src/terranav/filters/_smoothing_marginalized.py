@@ -28,6 +28,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -36,7 +37,7 @@ from numpy.typing import NDArray
 from terranav.core.judgement import largest_sigma_m
 from terranav.core.records import Epoch, Estimate
 from terranav.filters._cloud import Cloud
-from terranav.filters._replay import Flown
+from terranav.filters._replay import Flown, inner_of
 from terranav.filters.marginalized import Marginalized, MarginalizedState
 from terranav.ins.error_state import POSITION, Transition
 from terranav.kernels.backward import trace_back
@@ -50,7 +51,6 @@ MOST_ROWS = 4000  # particles of a larger cloud that are compared with
 KERNEL_DIMENSIONS = 4  # position and velocity: what tells one particle's past from another's
 KERNEL_CELLS = 0.5  # a kernel wider than this many cells would smear what the terrain resolves
 SUPPORT = 1e-10  # eigenvalues of a scaled covariance below this are rounding
-FACTOR = 1.0
 BREAK = 100.0  # squared distance in sigmas at which a later state did not come from a cloud
 
 
@@ -84,15 +84,13 @@ class Link:
     drawn: FloatArray
 
 
-def smooth_marginalized(
-    flight: Flown[MarginalizedState], rng: Generator, on_epoch: Callable[[int], None]
-) -> list[Estimate]:
+def smooth_marginalized(flight: Flown[Any], rng: Generator, on_epoch: Callable[[int], None]) -> list[Estimate]:
     """The estimate at every epoch, given all readings.
 
     Parameters
     ----------
     flight : Flown
-        A run of `Marginalized`.
+        A run of `Marginalized`, with a monitor or without.
     rng : Generator
         For the trajectories.
     on_epoch : callable
@@ -104,15 +102,15 @@ def smooth_marginalized(
         From the last reading on, and where the chain is broken, those of the filter. A chain breaks where the filter
         was started anew, or where most trajectories lie beyond ten sigmas of all that the filter held possible.
     """
-    estimator, estimates = flight.estimator, list(flight.estimates)
-    assert isinstance(estimator, Marginalized)
+    estimator, estimates = flight.method, list(flight.estimates)
     later: Anchor | None = None
-    states: list[MarginalizedState] = []  # from the next anchor, exclusive, back to this epoch
+    passed: list[Any] = []  # states from this epoch to the one before the next anchor
     steps: list[Transition] = []  # likewise, each to the epoch after
-    for k, state in flight.backwards():
+    for k, watched in flight.backwards():
         on_epoch(len(estimates) - k)
+        state: MarginalizedState = inner_of(watched)
         if later is not None:
-            states.insert(0, state)
+            passed.insert(0, watched)
             steps.insert(0, step_between(estimator, state, flight.epochs[k + 1]))
         if state.pending is not None or state.cloud is None:
             continue  # no reading here: bridged from the readings on either side
@@ -120,9 +118,9 @@ def smooth_marginalized(
         if later is not None and not _started_anew(state, later.state):
             link = _linked(mixture, reduce(Transition.then, steps), later.x, rng)
             if link is not None:
-                found = zip(states, _bridged(link, steps, later.x), strict=True)
-                estimates[k : later.k] = [_estimate(estimator, one, *moments) for one, moments in found]
-        later, states, steps = Anchor(k, state, _drawn(mixture, rng) if link is None else link.drawn), [], []
+                found = zip(passed, _bridged(link, steps, later.x), strict=True)
+                estimates[k : later.k] = [_estimate(flight, one, *moments) for one, moments in found]
+        later, passed, steps = Anchor(k, state, _drawn(mixture, rng) if link is None else link.drawn), [], []
     return estimates
 
 
@@ -133,11 +131,12 @@ def step_between(estimator: Marginalized, state: MarginalizedState, epoch: Epoch
     return passed
 
 
-def _estimate(estimator: Marginalized, state: MarginalizedState, mean_m: FloatArray, cov_m2: FloatArray) -> Estimate:
+def _estimate(flight: Flown[Any], watched: Any, mean_m: FloatArray, cov_m2: FloatArray) -> Estimate:
     """What the filter would say of these moments of the position."""
+    state = inner_of(watched)
     mean, cov = state.mean.copy(), state.cov.copy()
     mean[POSITION], cov[POSITION, POSITION] = mean_m, cov_m2
-    return estimator.estimate(replace(state, mean=mean, cov=cov))
+    return flight.estimate(watched, mean=mean, cov=cov)
 
 
 def _mixture(cloud: Cloud, estimator: Marginalized, rng: Generator) -> Mixture:
@@ -151,7 +150,7 @@ def _mixture(cloud: Cloud, estimator: Marginalized, rng: Generator) -> Mixture:
         rows, weight = rows[_systematic(weight, MOST_ROWS, rng)], np.full(MOST_ROWS, 1.0 / MOST_ROWS)
     cell_m = min(chart.cell_m for chart in estimator.maps)
     d, count = KERNEL_DIMENSIONS, 1.0 / float(weight @ weight)
-    width = FACTOR * (4.0 / (count * (d + 2.0))) ** (1.0 / (d + 4.0))
+    width = (4.0 / (count * (d + 2.0))) ** (1.0 / (d + 4.0))
     width = min(width, KERNEL_CELLS * cell_m / max(largest_sigma_m(cov[POSITION, POSITION]), 1e-9), 1.0)
     centres = mean + math.sqrt(1.0 - width**2) * (rows - mean)
     whole = cloud.common + width**2 * cov
@@ -170,12 +169,12 @@ def _linked(mixture: Mixture, step: Transition, later: FloatArray, rng: Generato
     gain, whiten = _gain(mixture.cov, step)
     predicted = mixture.centres @ step.phi.T
     m, d = later.shape
-    chosen, mean, within = np.empty(m, np.int64), np.empty((m, d)), np.empty((d, d))
-    nearest, _ = trace_back(
-        mixture.weight, mixture.centres, predicted @ whiten, later @ whiten, rng.random(m), chosen, mean, within
-    )
+    chosen, mean, passed = np.empty(m, np.int64), np.empty((m, d)), np.empty(len(mixture.weight))
+    ahead = np.ascontiguousarray((predicted @ whiten).T)
+    nearest = trace_back(mixture.weight, mixture.centres, ahead, later @ whiten, rng.random(m), chosen, mean, passed)
     if np.median(nearest) > BREAK:
         return None
+    within = moments_of(mixture.centres, passed)[1] - np.cov(mean.T, bias=True)
     keep = np.eye(d) - gain @ step.phi
     own = keep @ mixture.cov @ keep.T + gain @ step.q @ gain.T  # K - G S G', positive in this form
     noise = rng.standard_normal((m, d)) @ _root(own).T

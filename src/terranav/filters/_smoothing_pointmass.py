@@ -8,21 +8,22 @@ series, J. Amer. Stat. Assoc. 82, 1987, eq. 2.5; on grids Bergman, Recursive Bay
                                                  ~ integral N(x' - x_k; g) L(x') B_k+1(x') dx',   B_n = 1
 
 The second form is the one computed: where the first divides two densities on grids of different extent and cells, B is
-a smooth function of its own, carried to another grid by its logarithm, and nothing is divided by a tail. L is taken from
-the filter itself (its density after a reading over that before, on one grid), so voids, outliers and the widening of a
-ridge finer than the cells are those of the filter.
+a smooth function of its own, carried to another grid by its logarithm, and nothing is divided by a tail. L is taken
+from the filter itself (its density after a reading over that before, on one grid), so voids, outliers and the widening
+of a ridge finer than the cells are those of the filter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terranav.core.records import Epoch, Estimate
-from terranav.filters._replay import Flown
+from terranav.filters._replay import Flown, inner_of
 from terranav.filters.pointmass import Grid, PointMass, PointMassState, gaussian_taps
 from terranav.kernels.grid import FLOOR, diffuse, measure, resample
 
@@ -31,13 +32,13 @@ FloatArray = NDArray[np.float64]
 LARGEST = 1e250  # B beyond it stands where the filter has no density
 
 
-def smooth_pointmass(flight: Flown[PointMassState], on_epoch: Callable[[int], None]) -> list[Estimate]:
+def smooth_pointmass(flight: Flown[Any], on_epoch: Callable[[int], None]) -> list[Estimate]:
     """The estimate at every epoch, given all readings.
 
     Parameters
     ----------
     flight : Flown
-        A run of `PointMass`.
+        A run of `PointMass`, with a monitor or without.
     on_epoch : callable
         Called with the number of epochs done, counted from the end.
 
@@ -46,17 +47,17 @@ def smooth_pointmass(flight: Flown[PointMassState], on_epoch: Callable[[int], No
     list of Estimate, (n,)
         At the last epoch those of the filter.
     """
-    estimator, epochs = flight.estimator, flight.epochs
-    assert isinstance(estimator, PointMass)
+    estimator, epochs = flight.method, flight.epochs
     estimates = list(flight.estimates)
     ahead: Grid | None = None  # B at the epoch after, where there is one
-    for k, state in flight.backwards():
+    for k, watched in flight.backwards():
+        state: PointMassState = inner_of(watched)
         if ahead is None:
             ahead = replace(state.grid, density=np.ones_like(state.grid.density))
         else:
             ahead = _scaled(state.grid, _before(estimator, state, epochs[k + 1], ahead))
             mean_m, cov_m2 = _measured(state.grid, ahead)
-            estimates[k] = estimator.estimate(replace(state, mean_m=mean_m, cov_m2=cov_m2))
+            estimates[k] = flight.estimate(watched, mean_m=mean_m, cov_m2=cov_m2)
         on_epoch(len(epochs) - k)
     return estimates
 
