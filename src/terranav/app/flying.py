@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from terranav.core.ins_grade import InsGrade
     from terranav.core.recording import Recording
     from terranav.core.records import Prior
+    from terranav.experiment.result import Result
     from terranav.experiment.scenario import Scenario
     from terranav.maps.map import Map
 
@@ -42,6 +45,8 @@ class Wanted:
         As it was typed.
     asked : str
         The estimator that the report is about; empty for the most accurate one.
+    smooth : bool
+        Also smooth every method but the INS alone.
     """
 
     out: Path | None = None
@@ -49,6 +54,7 @@ class Wanted:
     since_s: float = 0.0
     command: str = ""
     asked: str = ""
+    smooth: bool = False
 
 
 def fly(
@@ -69,8 +75,35 @@ def fly(
     since_s = finite("--since", wanted.since_s, minimum=0.0)
     with progress() as on_epoch:
         results = compare(methods, rec, maps, seed=seed, ins=ins, prior=prior, on_epoch=on_epoch)
+        if wanted.smooth:
+            results |= _smoothed(rec, maps, ins, methods=methods, seed=seed, prior=prior, on_epoch=on_epoch)
     told = ins or rec.ins or InsGrade()
     return Outcome(rec, maps, results, told, seed, since_s, wanted.command, wanted.asked)
+
+
+def _smoothed(
+    rec: Recording,
+    maps: tuple[Map, ...],
+    ins: InsGrade | None,
+    *,
+    methods: Methods,
+    seed: int,
+    prior: Prior | None,
+    on_epoch: OnEpoch | None,
+) -> dict[str, Result]:
+    """The smoothed result of every method but the INS alone."""
+    from terranav.core.errors import DataWarning
+    from terranav.experiment.smooth import smooth, smoothed_name
+
+    results: dict[str, Result] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # the run before has said it
+        for label, (name, settings) in methods.items():
+            if name != BASELINE:
+                title = smoothed_name(label)
+                told = None if on_epoch is None else functools.partial(on_epoch, title)
+                results[title] = smooth(name, rec, maps, seed=seed, ins=ins, prior=prior, on_epoch=told, **settings)
+    return results
 
 
 def fly_scenario(scenario: Scenario, names: Sequence[str], seed: int | None, wanted: Wanted) -> Outcome:

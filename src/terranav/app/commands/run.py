@@ -19,6 +19,12 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="A setting of the estimator. Repeatable."),
     ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option(
+            "--smooth", help="Also smooth: every epoch in the light of all readings (marginalized, pointmass)."
+        ),
+    ] = False,
     seed: options.Seed = 0,
     out: options.Out = None,
     as_json: options.Json = False,
@@ -41,6 +47,15 @@ def run(
         "kind": map_kind, "sigma": map_sigma, "crs": map_crs, "variable": map_variable, "unit": map_unit
     }  # fmt: skip
     given = Given(recording, maps or (), map_options, ins, drift, drift_seed, first)
-    wanted = Wanted(folder_for(out), as_json, since, context.obj, asked=estimator)
+    asked = _smoothed(estimator) if smooth else estimator
+    wanted = Wanted(folder_for(out), as_json, since, context.obj, asked, smooth)
     methods = with_baseline([estimator], settings_from(settings or ()))
     return conclude(fly(*given.read(), methods=methods, seed=seed, wanted=wanted), wanted)
+
+
+def _smoothed(estimator: str) -> str:
+    """Name of the smoothed result, once it is known that there can be one."""
+    from terranav.experiment.smooth import check_smoothed, smoothed_name
+
+    check_smoothed(estimator)
+    return smoothed_name(estimator)
