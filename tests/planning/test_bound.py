@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -101,27 +102,27 @@ def test_is_the_recursion_of_the_information(hills: Map) -> None:
             information = d22 - d12.T @ np.linalg.inv(information + phi.T @ d22 @ phi) @ d12
         h = np.array([-north[k], -east[k], 0.0, 0.0, 1.0, 1.0])
         white = 4.0**2 + (blur * hills.cell_m) ** 2 * (north[k] ** 2 + east[k] ** 2)
-        information = information + mixture_information(share, scale) / white * np.outer(h, h)
+        reach = scale * math.hypot(4.0, hills.sigma)
+        information = information + mixture_information(share, reach / math.sqrt(white)) / white * np.outer(h, h)
         assert found.cov_m2[k] == pytest.approx(np.linalg.inv(information)[:2, :2], rel=1e-3)
 
 
-@pytest.mark.parametrize(("share", "scale"), [(0.05, 6.0), (0.01, 50.0), (0.5, 1.5), (0.3, 20.0)])
-def test_information_of_a_mixture(share: float, scale: float) -> None:
+@pytest.mark.parametrize(("share", "reach"), [(0.05, 2.8), (0.01, 50.0), (0.5, 1.5), (0.3, 20.0), (0.2, 0.1)])
+def test_information_of_a_mixture(share: float, reach: float) -> None:
     def density(x: float) -> float:
-        return ((1 - share) * math.exp(-(x**2) / 2) + share / scale * math.exp(-(x**2) / 2 / scale**2)) / math.sqrt(
-            2 * math.pi
-        )
+        normal = math.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
+        return (1 - share) * normal + share * reach / (math.pi * (x**2 + reach**2))
 
     def squared_score(x: float) -> float:
         slope = (density(x + 1e-4) - density(x - 1e-4)) / 2e-4
         return slope**2 / density(x)
 
-    pieces = [0.0, 2.0, 4.0, 8.0, 2 * scale, 8 * scale]
-    there = [quad(squared_score, a, b)[0] for a, b in zip(sorted(pieces), sorted(pieces)[1:])]
-    found = mixture_information(share, scale)
-    assert found == pytest.approx(2 * sum(there), rel=1e-5)
-    assert (1 - share + share * scale**2) ** -1 < found < 1 - share + share / scale**2  # variance, and who is who
-    assert mixture_information(0.0, scale) == 1.0
+    pieces = sorted([0.0, 0.3, 1.0, 2.0, 4.0, 8.0, 2 * reach, 8 * reach, 1000.0])
+    there = sum(quad(squared_score, a, b, limit=200)[0] for a, b in pairwise(pieces))
+    found = mixture_information(share, reach)
+    assert found == pytest.approx(2 * there, rel=1e-4)
+    assert found < 1 - share + share / (2 * reach**2)  # if one knew who is who
+    assert mixture_information(0.0, reach) == 1.0
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32632"])
@@ -230,7 +231,7 @@ def test_what_it_refuses(hills: Map) -> None:
         bound(rec, deep)
     with pytest.raises(ConfigError, match="expected Map objects"):
         bound(rec, ["dem.tif"])  # type: ignore[list-item]
-    for setting in ({"outlier_share": 0.7}, {"outlier_scale": 1.0}, {"blur_cells": -1.0}, {"bias_sigma": {"x": 1.0}}):
+    for setting in ({"outlier_share": 0.7}, {"outlier_scale": 0.0}, {"blur_cells": -1.0}, {"bias_sigma": {"x": 1.0}}):
         with pytest.raises(ConfigError, match=r"bound (outlier_share|outlier_scale|blur_cells|bias_sigma)"):
             bound(rec, hills, **setting)
     with pytest.warns(DataWarning, match="the bound assumes"):
@@ -263,10 +264,11 @@ def drawn(chart: Map, rng: np.random.Generator, epochs: int = 200) -> Recording:
     bias: FloatArray = rng.normal(0.0, TERRAIN.bias_sigma) + np.concatenate(
         [[0.0], np.cumsum(rng.normal(0.0, TERRAIN.bias_walk * math.sqrt(STEP_S), epochs - 1))]
     )
-    scale = np.where(rng.random(epochs) < Marginalized.outlier_share, Marginalized.outlier_scale, 1.0)
+    far = Marginalized.outlier_scale * math.hypot(3.0, chart.sigma) * rng.standard_cauchy(epochs)
+    outlier = rng.random(epochs) < Marginalized.outlier_share
     slope = np.hypot(*patch_slope(chart, lat, lon).T)
     sigma = np.hypot(3.0, Marginalized.blur_cells * chart.cell_m * slope)
-    reading = chart.sample(lat, lon) + bias + patch + scale * sigma * rng.standard_normal(epochs)
+    reading = chart.sample(lat, lon) + bias + patch + np.where(outlier, far, sigma * rng.standard_normal(epochs))
     columns = {"time_s": t, "lat_deg": lat, "lon_deg": lon, "alt_m": np.full(epochs, 2000.0), "terrain_m": reading}
     return add_drift(Recording(columns, sigma={"terrain_m": 3.0}), INS, rng)
 
