@@ -96,6 +96,16 @@ def test_bound_knows_the_prior(outcome: Outcome) -> None:
     assert told.bound.drms_m[0] < math.sqrt(200.0) < outcome.bound.drms_m[0]
 
 
+def test_bound_is_of_the_settings_that_the_navigator_had(outcome: Outcome) -> None:
+    there = tn.bound(outcome.recording, outcome.maps, outcome.ins, outlier_share=0.4, bias_sigma={"terrain": 99.0})
+    settings = {"particles": 5000, "outlier_share": 0.4, "bias_sigma": {"terrain": 99.0}}
+    for told in (settings, {"risk": 1e-3, "estimator": settings}):  # alone, and watched by a monitor
+        made = replace(outcome.results["ins"], provenance={"estimator": {"name": "marginalized", "settings": told}})
+        own = Outcome(outcome.recording, outcome.maps, {"ins": outcome.results["ins"], "mine": made}, outcome.ins)
+        assert own.bound is not None
+        assert np.array_equal(own.bound.cov_m2, there.cov_m2)
+
+
 def test_without_a_bound_nothing_is_said_of_it(outcome: Outcome) -> None:
     for bare in (
         blind(outcome),
@@ -235,20 +245,36 @@ def test_spans_without_a_monitor(outcome: Outcome) -> None:
     assert section["summary"] == "No integrity monitor watched pointmass."
 
 
+def test_a_reason_that_flickers_gets_one_row(reliable: Outcome) -> None:
+    made = reliable.results["pointmass"]
+    k = np.arange(EPOCHS)
+    usable = (k < 20) | (k >= 40) | (k % 4 > 1)
+    told = tuple(() if ok else ("another reason",) if i == 36 else (f"HPL {i} m",) for i, ok in enumerate(usable))
+    nervous = replace(made, status=np.full(EPOCHS, "converged"), usable=usable, reasons=told)
+    rows = reasons.gathered(reasons.spans(nervous), 10.0)
+    assert [(row.when, row.why) for row in rows] == [
+        ("from 40 s to 1 min 16 s, 5 times", "HPL 20 m"),
+        ("from 1 min 12 s to 1 min 14 s", "another reason"),
+    ]
+    assert reasons.gathered(reasons.spans(nervous), 3.0) == reasons.spans(nervous)
+
+
 def test_many_spans_leave_the_longest(reliable: Outcome) -> None:
     made = reliable.results["pointmass"]
     usable = np.arange(EPOCHS) % 2 == 0
     usable[:9] = False
-    nervous = replace(made, status=np.full(EPOCHS, "converged"), usable=usable, reasons=((),) * EPOCHS)
+    told = tuple(("every time " + "I" * i,) for i in range(EPOCHS))
+    nervous = replace(made, status=np.full(EPOCHS, "converged"), usable=usable, reasons=told)
     found = reasons.spans(nervous)
-    assert len(found) > reasons.MOST_SPANS
+    assert len(found) == EPOCHS
     shown = reasons.longest(found)
     assert len(shown) == reasons.MOST_SPANS
-    assert shown[0].duration_s == max(entry.duration_s for entry in found)
     assert [entry.start_s for entry in shown] == sorted(entry.start_s for entry in shown)
     section = reasons.section(replace(reliable, results={"pointmass": nervous}, _cache={}))
     assert section is not None
-    assert section["more"].startswith(f"{len(found) - reasons.MOST_SPANS} shorter ones")
+    assert section["more"].startswith(f"{EPOCHS - reasons.MOST_SPANS} shorter rows")
+    long = replace(nervous, usable=np.arange(EPOCHS) < 60, reasons=(("x",),) * 50 + told[50:])
+    assert reasons.longest(reasons.spans(long))[0].duration_s == 100.0
 
 
 def test_summary(reliable: Outcome) -> None:

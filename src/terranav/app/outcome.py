@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 BASELINE = "ins"
+NAVIGATOR = "marginalized"
+_OF_READINGS = ("bias_sigma", "outlier_share", "outlier_scale", "blur_cells")
 #: sqrt of the 95 % quantile of chi-square with two degrees of freedom: half an axis of the 95 % ellipse over its sigma
 ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 
@@ -99,7 +101,7 @@ class Outcome:
         from terranav.planning.bound import bound
 
         try:
-            return bound(self.recording, self.maps, self.ins, prior=self._prior)
+            return bound(self.recording, self.maps, self.ins, prior=self._prior, **self._noise_settings)
         except TerranavError:
             return None
 
@@ -112,6 +114,17 @@ class Outcome:
             (result.provenance["prior"] for result in self.results.values() if "prior" in result.provenance), None
         )
         return None if told is None else Prior(**told)
+
+    @property
+    def _noise_settings(self) -> dict[str, Any]:
+        """What `marginalized` was told of the readings, if it was among the estimators: the bound is of its model."""
+        for label in sorted(self.results, key=lambda one: one != self.asked):
+            made = self.results[label].provenance.get("estimator") or {}
+            if made.get("name") == NAVIGATOR:
+                told = made.get("settings") or {}
+                told = told.get("estimator", told)  # within its integrity monitor
+                return {key: told[key] for key in _OF_READINGS if key in told}
+        return {}
 
     def bound_drms_m(self, since_s: float) -> float:
         """Least DRMS that an estimator could have from so many seconds after the start on [m], NaN without a bound."""

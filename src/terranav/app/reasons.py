@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from terranav.app.words import distance, percent, span
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from terranav.experiment.result import Result
 
 MOST_SPANS = 20  # rows that the report shows
+LONGEST_GAP_S, LONGEST_GAP = 10.0, 0.03  # a reason that comes back so soon [s, share of the run] gets no new row
 #: what changes from epoch to epoch in a reason that stays: figures, their units, points of the compass
 _FIGURE = re.compile(
     r"\d+(?:\.\d+)?(?:e[+-]?\d+)?(?: (?:k?m|s|min|h)\b)?(?: (?:north|south)?-?(?:east|west)?\b(?<=[ht]))?"
@@ -33,6 +34,8 @@ class Span:
         Whether a fix was offered; None where no integrity monitor watched.
     reasons : tuple of str
         As they stood at the start.
+    times : int
+        How many spans were gathered into this one; then it was so on and off only.
     """
 
     start_s: float
@@ -40,6 +43,7 @@ class Span:
     status: str
     usable: bool | None
     reasons: tuple[str, ...]
+    times: int = 1
 
     @property
     def duration_s(self) -> float:
@@ -54,7 +58,12 @@ class Span:
     @property
     def when(self) -> str:
         """The time in words."""
-        return span(self.start_s, self.end_s)
+        return span(self.start_s, self.end_s) + (f", {self.times} times" if self.times > 1 else "")
+
+    @property
+    def key(self) -> tuple[str, bool | None, tuple[str, ...]]:
+        """What stays the same over the span."""
+        return self.status, self.usable, tuple(_FIGURE.sub("#", text) for text in self.reasons)
 
     @property
     def why(self) -> str:
@@ -71,16 +80,31 @@ def spans(result: Result) -> list[Span]:
     for at_s, status, usable, reasons in zip(
         time_s, result.status.tolist(), result.usable.tolist(), result.reasons, strict=True
     ):
+        entry = Span(at_s, at_s, status, usable if watched else None, reasons)
         if reasons not in alike:
-            alike[reasons] = tuple(_FIGURE.sub("#", text) for text in reasons)
+            alike[reasons] = entry.key[-1]
         now = (status, usable, alike[reasons])
         if now != key:
             if found:
-                found[-1] = _until(found[-1], at_s)
-            found.append(Span(at_s, at_s, status, usable if watched else None, reasons))
+                found[-1] = replace(found[-1], end_s=at_s)
+            found.append(entry)
             key = now
-    found[-1] = _until(found[-1], time_s[-1])
+    found[-1] = replace(found[-1], end_s=time_s[-1])
     return [entry for entry in found if entry.reasons or entry.usable is False]
+
+
+def gathered(found: list[Span], gap_s: float) -> list[Span]:
+    """The spans with those made one that say the same and lie no farther apart than `gap_s`; by their start."""
+    rows: list[Span] = []
+    latest: dict[tuple[Any, ...], int] = {}
+    for entry in found:
+        row = latest.get(entry.key)
+        if row is not None and entry.start_s - rows[row].end_s <= gap_s:
+            rows[row] = replace(rows[row], end_s=entry.end_s, times=rows[row].times + 1)
+        else:
+            latest[entry.key] = len(rows)
+            rows.append(entry)
+    return rows
 
 
 def longest(found: list[Span], most: int = MOST_SPANS) -> list[Span]:
@@ -92,7 +116,7 @@ def longest(found: list[Span], most: int = MOST_SPANS) -> list[Span]:
 def section(outcome: Outcome) -> dict[str, Any] | None:
     """What the report says of the main estimator's integrity; None when there is nothing to say."""
     result = outcome.results[outcome.main]
-    found = spans(result)
+    found = gathered(spans(result), max(LONGEST_GAP_S, LONGEST_GAP * outcome.duration_s))
     if not (result.watched or found):
         return None
     shown = longest(found)
@@ -100,7 +124,7 @@ def section(outcome: Outcome) -> dict[str, Any] | None:
     return {
         "summary": summary(outcome),
         "spans": [(entry.when, entry.status, entry.fix, entry.why) for entry in shown],
-        "more": f"{rest} shorter ones are left out; metrics.json has them all." if rest else "",
+        "more": f"{rest} shorter rows are left out; metrics.json has every span." if rest else "",
     }
 
 
@@ -118,9 +142,7 @@ def summary(outcome: Outcome) -> str:
         return f"{text}."
     if figures["misleading"] == 0.0:
         return f"{text}; none of these fixes was farther from the truth than that allows."
-    return (
-        f"{text}; {percent(figures['misleading'], 1)} of these fixes were farther from the truth than that allows."
-    )
+    return f"{text}; {percent(figures['misleading'], 1)} of these fixes were farther from the truth than that allows."
 
 
 def as_json(result: Result) -> list[dict[str, Any]]:
@@ -135,8 +157,3 @@ def as_json(result: Result) -> list[dict[str, Any]]:
         }
         for entry in spans(result)
     ]
-
-
-def _until(entry: Span, end_s: float) -> Span:
-    """The span with its end."""
-    return Span(entry.start_s, end_s, entry.status, entry.usable, entry.reasons)
