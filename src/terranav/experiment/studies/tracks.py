@@ -49,12 +49,12 @@ CANDIDATES = 2000  # drawn on each map
 
 @dataclass(frozen=True)
 class World:
-    """What makes the readings; the defaults are what `marginalized` assumes by default.
+    """What makes the readings; by default everything is as told.
 
     Attributes
     ----------
-    outlier_share, outlier_scale, blur_cells : float
-        As in `Marginalized`.
+    blur_cells : float
+        As in `Marginalized` [cells].
     bias_sigma : float or None
         1-sigma of the bias drawn [unit]; None is the kind's own.
     bias : float
@@ -67,8 +67,6 @@ class World:
         The random walk of the INS is so many times what is told.
     """
 
-    outlier_share: float = Marginalized.outlier_share
-    outlier_scale: float = Marginalized.outlier_scale
     blur_cells: float = Marginalized.blur_cells
     bias_sigma: float | None = None
     bias: float = 0.0
@@ -195,16 +193,9 @@ def drawn_tracks(source: MapSource, count: int, seed: int) -> Drawn:
 
 
 @lru_cache(maxsize=16)
-def track_bound(track: Track, world: World = MATCHED) -> Bound:
-    """The Cramer-Rao bound along a track for the noise of a world."""
-    return bound(
-        track.true_recording(),
-        [track.chart],
-        INS,
-        outlier_share=world.outlier_share,
-        outlier_scale=world.outlier_scale,
-        blur_cells=world.blur_cells,
-    )
+def track_bound(track: Track) -> Bound:
+    """The Cramer-Rao bound along a track, where everything is as told: normal noise, no outliers."""
+    return bound(track.true_recording(), [track.chart], INS, outlier_share=0.0, blur_cells=MATCHED.blur_cells)
 
 
 def settled_index(lowest: Bound) -> int | None:

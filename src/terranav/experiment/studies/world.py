@@ -1,14 +1,13 @@
-"""A world that is exactly what the navigator assumes, or wrong in one stated way.
+"""A world that is exactly as the navigator is told, or wrong in one stated way.
 
 Readings along a true track: y = h(true position) + bias + patch + white noise (`terranav.ins.error_state`), where
 
 - bias: a constant drawn from `bias_sigma`, with the random walk of its kind;
 - patch: the map's error, a stationary Ornstein-Uhlenbeck process along the track of sigma `map.sigma` and correlation
   length `map.error_length_m`: over a distance d, patch <- exp(-d/length) patch + N(0, (1 - exp(-2 d/length)) sigma^2);
-- white noise: variance sigma^2 + (blur cells * cell * slope)^2, the slope being that of the bilinear patch; with the
-  probability of an outlier the same, many times larger in sigma.
+- white noise: normal, of variance sigma^2 + (blur cells * cell * slope)^2, the slope being that of the bilinear patch.
 
-The INS is that of `terranav.add_drift` on position level: the same model again.
+The INS is that of `terranav.add_drift` on position level: the same model again. The map lies where it says.
 """
 
 from __future__ import annotations
@@ -85,5 +84,4 @@ def _white(rng: Generator, world: World, chart: Map, lat: FloatArray, lon: Float
         rise = chart.sample(*shift(lat, lon, north, east)) - chart.sample(*shift(lat, lon, -north, -east))
         slope2 += (rise / (2.0 * _STEP_M)) ** 2
     variance = SENSOR_SIGMA_M**2 + (world.blur_cells * chart.cell_m) ** 2 * slope2
-    scale = np.where(rng.random(len(lat)) < world.outlier_share, world.outlier_scale, 1.0)
-    return np.asarray(world.noise_factor * scale * np.sqrt(variance) * rng.standard_normal(len(lat)))
+    return np.asarray(world.noise_factor * np.sqrt(variance) * rng.standard_normal(len(lat)))
