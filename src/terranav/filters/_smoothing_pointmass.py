@@ -10,11 +10,13 @@ series, J. Amer. Stat. Assoc. 82, 1987, eq. 2.5; on grids Bergman, Recursive Bay
 The second form is the one computed: where the first divides two densities on grids of different extent and cells, B is
 a smooth function of its own, carried to another grid by its logarithm, and nothing is divided by a tail. L is taken
 from the filter itself (its density after a reading over that before, on one grid), so voids, outliers and the widening
-of a ridge finer than the cells are those of the filter.
+of a ridge finer than the cells are those of the filter. B lives on cells that fit the smoothed density, which is often
+far narrower than the filter's, and only where that density is.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -24,12 +26,14 @@ from numpy.typing import NDArray
 
 from terranav.core.records import Epoch, Estimate
 from terranav.filters._replay import Flown, inner_of
-from terranav.filters.pointmass import Grid, PointMass, PointMassState, gaussian_taps
-from terranav.kernels.grid import FLOOR, diffuse, measure, resample
+from terranav.filters.pointmass import Grid, PointMass, PointMassState
+from terranav.kernels.grid import FLOOR, measure, resample
 
 FloatArray = NDArray[np.float64]
 
-LARGEST = 1e250  # B beyond it stands where the filter has no density
+MATTERS = (
+    1e-9  # where the smoothed density is below this share of its peak, B is not let rise above its values elsewhere
+)
 
 
 def smooth_pointmass(flight: Flown[Any], on_epoch: Callable[[int], None]) -> list[Estimate]:
@@ -55,31 +59,27 @@ def smooth_pointmass(flight: Flown[Any], on_epoch: Callable[[int], None]) -> lis
         if ahead is None:
             ahead = replace(state.grid, density=np.ones_like(state.grid.density))
         else:
-            ahead = _scaled(state.grid, _before(estimator, state, epochs[k + 1], ahead))
-            mean_m, cov_m2 = _measured(state.grid, ahead)
+            smoothed, ahead = _combined(estimator, state.grid, _before(estimator, state, epochs[k + 1], ahead))
+            mean_m, cov_m2 = _moments(smoothed)
             estimates[k] = flight.estimate(watched, mean_m=mean_m, cov_m2=cov_m2)
         on_epoch(len(epochs) - k)
     return estimates
 
 
 def _before(estimator: PointMass, state: PointMassState, epoch: Epoch, ahead: Grid) -> Grid:
-    """B after `state`, on its grid, from B after the next epoch: the filter's step, its readings in reverse."""
+    """B after `state`, up to a factor, from B after the next epoch: the filter's step in reverse."""
     assert state.epoch is not None
     dt = epoch.time_s - state.epoch.time_s
     elapsed = epoch.time_s - dt - state.start_s
     growth = [estimator.ins.position_growth_m2(elapsed, dt, float(v)) for v in np.diag(state.cov_m2)]
-    grown = estimator._grown(state.grid, growth)
-    future = ahead
-    for likelihood in reversed(_likelihoods(estimator, replace(state, grid=grown), epoch)):
-        moved = _on(likelihood, future)
-        future = replace(likelihood, density=likelihood.density * moved.density)
-    if max(growth) <= 0.0:
-        return _on(state.grid, future)
-    future = _on(grown, future)
-    cell2 = grown.cell_m**2  # after a long gap the filter's cells are twice as large, so many times over
-    out = np.empty_like(future.density)
-    diffuse(future.density, gaussian_taps(growth[0] / cell2), gaussian_taps(growth[1] / cell2), out)
-    return _on(state.grid, replace(grown, density=out))
+    if epoch.measurements:
+        grown = replace(state, grid=estimator._grown(state.grid, growth))
+        for likelihood in reversed(_likelihoods(estimator, grown, epoch)):
+            ahead = _product(likelihood, ahead)
+    total = float(ahead.density.sum())
+    if not total > FLOOR:
+        return replace(state.grid, density=np.ones_like(state.grid.density))
+    return estimator._grown(replace(ahead, density=ahead.density / total), growth)  # a symmetric kernel: either way
 
 
 def _likelihoods(estimator: PointMass, state: PointMassState, epoch: Epoch) -> list[Grid]:
@@ -110,17 +110,38 @@ def _on(lattice: Grid, function: Grid) -> Grid:
     return replace(lattice, density=out)
 
 
-def _scaled(grid: Grid, ahead: Grid) -> Grid:
-    """B such that the smoothed density sums to one; B = 1 where the readings to come contradict all of the grid."""
-    total = float(np.sum(grid.density * ahead.density))
+def _product(one: Grid, other: Grid) -> Grid:
+    """Product of two functions, on the finer of their grids, where both are known."""
+    fine, coarse = (one, other) if one.cell_m <= other.cell_m else (other, one)
+    parts = []
+    for mine, theirs in ((fine.north_m, coarse.north_m), (fine.east_m, coarse.east_m)):
+        inside = np.flatnonzero((mine >= theirs[0] - fine.cell_m) & (mine <= theirs[-1] + fine.cell_m))
+        parts.append(slice(inside[0], inside[-1] + 1) if inside.size else slice(0, mine.size))
+    part = Grid(
+        float(fine.north_m[parts[0].start]),
+        float(fine.east_m[parts[1].start]),
+        fine.cell_m,
+        fine.density[parts[0], parts[1]],
+    )
+    return replace(part, density=part.density * _on(part, coarse).density)
+
+
+def _combined(estimator: PointMass, filtered: Grid, ahead: Grid) -> tuple[Grid, Grid]:
+    """The smoothed density, and B on its grid; the past alone where the readings to come contradict all of it."""
+    smoothed = _product(filtered, ahead)
+    total = float(smoothed.density.sum())
     if not total > FLOOR:
-        return replace(ahead, density=np.ones_like(ahead.density))
-    return replace(ahead, density=np.minimum(ahead.density / total, LARGEST))
+        return filtered, replace(filtered, density=np.ones_like(filtered.density))
+    smoothed = replace(smoothed, density=smoothed.density / total)
+    _, rows, cols, width = measure(smoothed.density, smoothed.north_m, smoothed.east_m)
+    smoothed = estimator._fitted(smoothed, (rows, cols), float(width.min()), math.inf)
+    known = _on(smoothed, ahead).density
+    matters = smoothed.density > MATTERS * smoothed.density.max()
+    return smoothed, replace(smoothed, density=np.minimum(known, known[matters].max()))
 
 
-def _measured(grid: Grid, ahead: Grid) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance of the smoothed density, with the filter's floor."""
-    density = grid.density * ahead.density
-    moments = measure(density / density.sum(), grid.north_m, grid.east_m)[0]
+def _moments(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """Mean and covariance of a density, with the filter's floor."""
+    moments = measure(grid.density, grid.north_m, grid.east_m)[0]
     cov = np.array([[moments[2], moments[3]], [moments[3], moments[4]]])
     return moments[:2].copy(), cov + (0.05 * grid.cell_m) ** 2 * np.eye(2)
