@@ -134,6 +134,8 @@ def summary(outcome: Outcome) -> str:
     result, figures = outcome.results[name], outcome.metrics(name)
     if not result.watched:
         return f"No integrity monitor watched {name}."
+    if figures["available"] == 0.0:
+        return f"{name} offered no fix at all."
     offered = f"{name} offered a fix at {percent(figures['available'])} of the epochs"
     if math.isnan(figures["protection_m"]):
         return f"{offered}."
