@@ -5,7 +5,6 @@ The navigator has its defaults but for TOLD: the map lies where it says, and tha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +17,7 @@ from terranav.experiment.metrics import consistency
 from terranav.experiment.registry import make_estimator
 from terranav.experiment.result import Result
 from terranav.experiment.run import run
+from terranav.experiment.studies.ensemble import losses
 from terranav.experiment.studies.sources import data_folder, terrain_sources
 from terranav.experiment.studies.study import Plan, Setup
 from terranav.experiment.studies.tracks import (
@@ -36,9 +36,6 @@ TRACKS = 7  # on each map
 ESTIMATOR = "marginalized"
 TOLD = {"registration_cells": 0.0}
 TESTED = 5  # epochs at which the NEES is tested: evenly spread, the last is the last
-LOST_M = 1000.0
-#: a status that offers a position
-OFFERED = ("converged", "degraded")
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ def run_case(case: MatchedCase, seeds: SeedSequence) -> dict[str, float]:
     dict
         mse_m2, bound_m2: mean over the epochs that count of the squared distance from the truth, and of the bound's
         trace. nees_0 ..: NEES (2 degrees of freedom) at the tested epochs. contained_95, max_m: over the epochs that
-        count. lost, unsaid: as of `losses`.
+        count. lost, unsaid: as of `ensemble.losses`.
     """
     world, estimator = seeds.spawn(2)
     rec = flown(case.track, MATCHED, np.random.default_rng(world)).rec
@@ -132,21 +129,3 @@ def figures(result: Result, first: int) -> dict[str, float]:
         "mse_m2": float(np.mean(distance**2)), "max_m": float(distance.max()), "nees": whole["nees"],
         "contained_95": whole["contained_95"], **nees, **losses(result, first),
     }  # fmt: skip
-
-
-def losses(result: Result, first: int) -> dict[str, float]:
-    """Whether a run is lost: `lost` when it ends beyond 1 km, `unsaid` when it is beyond 1 km at any epoch from `first`
-    on with a status that offers a position (converged or degraded).
-    """
-    distance = np.hypot(*result.error_m.T)
-    offered = np.isin(result.status, OFFERED)
-    return {
-        "lost": float(distance[-1] > LOST_M),
-        "unsaid": float(bool((offered & (distance > LOST_M))[first:].any())),
-        "first_fix_s": result.metrics()["first_fix_s"],
-    }
-
-
-def rms(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    """Root of a mean of squares that are given; NaN for none."""
-    return math.sqrt(float(np.mean(values))) if values.size else math.nan

@@ -8,7 +8,7 @@ from terranav.core.checks import unknown_name
 from terranav.experiment.studies.study import Study
 
 #: name of the command -> module whose STUDY it is
-_HOMES = {"bound": "bound", "consistency": "consistency"}
+_HOMES = {"bound": "bound", "consistency": "consistency", "real": "real"}
 
 
 def studies() -> list[str]:
