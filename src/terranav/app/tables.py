@@ -54,7 +54,7 @@ BOUND = Column(
     _after_fix("bound_drms_m"),
 )
 INTEGRITY = (
-    Column("HPL", "horizontal protection level: the error exceeds it with at most the declared risk; median of the usable "
+    Column("HPL", "horizontal protection level: the error exceeds it with at most the declared risk; median of usable "
            "fixes", _figure("protection_m", distance)),
     Column("available", "share of epochs at which a fix was offered as usable", _figure("available", percent)),
 )  # fmt: skip
