@@ -1,8 +1,8 @@
 """A real cruise: depth and gravity of R/V Maurice Ewing EW0007 in pieces of 24 h, with the drift of an INS added.
 
 The INS drifts by one nautical mile an hour: 0.514 m/s root mean square, 0.364 m/s per axis. Errors count over the
-second half of each piece. The relief was partly made from such soundings, so the depth is optimistic; the gravity map is
-derived from a geoid, which lacks its long wavelengths.
+second half of each piece. The relief was partly made from such soundings, so the depth is optimistic; the gravity map
+is derived from a geoid, which lacks its long wavelengths.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -242,6 +242,7 @@ def _fingerprint(study: Study, plan: Plan, runs: int, seed: int) -> str:
     return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
 
+@lru_cache(maxsize=1)
 def program_checksum() -> str:
     """SHA-256 of the modules that figures come from: those of another program are not mixed in."""
     root = Path(terranav.__file__).parent
