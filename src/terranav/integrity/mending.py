@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 RIVALS_WIN = 0.99  # probability of all rivals at which the estimate is given up
 YOUNG = 20  # readings before rivals can tell noise from a wrong place
 LARGEST_FACTOR = 30.0
+DOUBT = 1e-3  # probability that residuals as told are called doubtful
 AGREES = 1e-3  # probability that a kind that agrees again fails its test
 
 
@@ -49,7 +50,7 @@ def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorSt
     if wrong and (state.rivals is None or state.rivals.readings >= YOUNG or state.lost):
         return _contradicted(monitor, state, wrong, rng)
     standing = state.standing
-    if standing is not None and standing.readings >= LENGTHS[0] and standing.share > RIVALS_WIN:
+    if standing is not None and standing.share > RIVALS_WIN and _doubtful(state):
         return _searched(monitor, state, words.elsewhere(-standing.best_m, standing.share), standing.readings, rng)
     return _taken_in(monitor, state)
 
@@ -57,6 +58,12 @@ def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorSt
 def _only_noisy(state: MonitorState, kind: str) -> bool:
     """Whether the latest readings of a kind, for all their noise, speak for this place and no other."""
     return state.rivals is not None and rivals.supports(state.rivals, kind, 0.0)
+
+
+def _doubtful(state: MonitorState) -> bool:
+    """Whether the residuals are too large for the estimate to be right, on a lower bar than for a contradiction."""
+    windows = [window for window in state.windows if window.kind not in state.silent]
+    return any(excess(window.nis, DOUBT) for window in windows)
 
 
 def _factors(monitor: Monitored, state: MonitorState, noisy: set[str]) -> MonitorState:

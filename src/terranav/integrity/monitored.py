@@ -232,4 +232,5 @@ def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
     """A fix that has proved itself: the position is found (again)."""
     if not judging.proven(monitor, state) or state.sigma_m > HYSTERESIS * monitor.converged_sigma_m:
         return state
-    return replace(state, fixed=True, lost="", attempt=0)
+    proved = None if state.rivals is None else replace(state.rivals, proved=True)
+    return replace(state, fixed=True, lost="", attempt=0, rivals=proved)

@@ -4,7 +4,8 @@ A posterior that has settled on one place says how well the readings fit there, 
 elsewhere: particles that were lost, or a prior that left the truth out, are not in it. So from the moment of a fix,
 rivals are kept on a lattice around the estimate, as far as the INS could be off, and move with it. Their likelihood
 against the estimate's counts only readings that came after the fix and had no part in choosing it. The fix is believed
-when all rivals together are less probable than the risk, where they start with even odds. On flat land, and where the
+when all rivals together are less probable than the risk, where each starts with even odds: the estimate was chosen
+among them for fitting well, so that it has no better claim. On flat land, and where the
 ground repeats itself, that never happens, however certain the posterior is. This is the multiple-hypothesis test of
 integrity monitoring (Blanch et al., Baseline advanced RAIM user algorithm, IEEE Trans. Aerospace and Electronic Systems
 51, 2015, section III) with places for faults.
@@ -26,9 +27,9 @@ from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
 
-SIDE = 45  # of the lattice, in places
+SIDE = 71  # of the lattice, in places
 CERTAIN = 14.0  # the probability of a rival sinks to exp(-14) of the risk and no further, so that it can come back
-FADING = 0.95  # memory of what is recent: 20 readings
+FADING = 0.97  # memory of what is recent: 33 readings
 NEAR = 3.0  # rivals within so many spacings belong to the estimate's own surroundings
 SUPPORT = -2.0  # recent log ratio of the best rival below which the readings speak for the estimate
 
@@ -55,6 +56,10 @@ class Rivals:
     odds : (n,) float64
         Log likelihood ratio against the estimate.
     evidence : tuple of (kind, Evidence)
+    readings : int
+        Weighed so far.
+    proved : bool
+        Whether the estimate has held against all rivals once.
     """
 
     spacing_m: float
@@ -62,6 +67,7 @@ class Rivals:
     odds: FloatArray
     evidence: tuple[tuple[str, Evidence], ...] = ()
     readings: int = 0
+    proved: bool = False
 
     @classmethod
     def within(cls, reach_m: float, finest_m: float) -> Rivals:
@@ -157,6 +163,10 @@ def weighed(
 def standing(rivals: Rivals, budget: float, near_m: float) -> Standing:
     """How the rivals stand; those nearer than `near_m` or three spacings are no rivals.
 
+    What a rival lost while it was not yet in its place by the slope would refute it for good. So until the estimate has
+    proved itself, its latest readings count alone where they speak better of it; after that all count, and flat land
+    does not make a proven fix doubtful.
+
     Parameters
     ----------
     rivals : Rivals
@@ -166,7 +176,11 @@ def standing(rivals: Rivals, budget: float, near_m: float) -> Standing:
     """
     nodes, distance, order = _lattice()
     near = max(near_m / rivals.spacing_m, NEAR)
-    reach, share, best, _ = kernels.reach_of_rivals(distance, order, rivals.odds, budget, near, rivals.odds)
+    odds = rivals.odds
+    if not rivals.proved:
+        recent = np.sum([evidence.recent for _, evidence in rivals.evidence], axis=0) if rivals.evidence else 0.0
+        odds = np.maximum(odds, np.minimum(recent, 0.0))
+    reach, share, best, _ = kernels.reach_of_rivals(distance, order, odds, budget, near, odds)
     return Standing(reach * rivals.spacing_m, share, nodes[best] * rivals.spacing_m, rivals.readings)
 
 

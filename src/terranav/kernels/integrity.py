@@ -98,16 +98,15 @@ def reach_of_rivals(distance, order, odds, budget, near, recent):
 
     Returns
     -------
-    reach : distance beyond which the rivals hold no more than the budget [m]
-    share : probability of the rivals that are not near, all of them even odds with the estimate before any reading
+    reach : distance beyond which the rivals hold no more than the budget, 0 when those that are not near hold less
+    share : probability of the rivals that are not near, each even odds with the estimate before any reading
     best : index of the likeliest rival that is not near, 0 when there is none
     support : largest recent log ratio among the rivals that are not near
     """
-    n = odds.size - 1
     share, best, support = 0.0, 0, -np.inf
     for k in range(1, odds.size):
         if distance[k] > near:
-            share += math.exp(odds[k]) / n
+            share += math.exp(odds[k])
             if best == 0 or odds[k] > odds[best]:
                 best = k
             support = max(support, recent[k])
@@ -115,7 +114,9 @@ def reach_of_rivals(distance, order, odds, budget, near, recent):
     beyond, reach = 0.0, 0.0
     for i in range(odds.size - 1):
         k = order[i]
-        beyond += math.exp(odds[k]) / n
+        if distance[k] <= near:
+            break
+        beyond += math.exp(odds[k])
         if beyond > budget * total:
             reach = distance[k]
             break
