@@ -16,12 +16,13 @@ but small, and often dropped (python-ins keeps only dW in phi'). How R changes w
 The matrix is taken at the indicated trajectory.
 
 **The states of the estimators** are 13, for the barometer holds the vertical channel (r_d = 0, indicated V_d true): r
-and v of north and east, phi, b_g, b_a. Between epochs the model steps u; at both ends of a step that is turned into
+and v of north and east, phi, b_g, b_a, with
 
-    v = u + V x phi,   the error of the indicated velocity in north and east
+    v = u + V x phi,   v' = u' + V x phi' + V' x phi
 
-so that v and phi are independent at the start, as an alignment (and `terranav.ins.strapdown`) leaves them, and a change
-of velocity from one epoch to the next acts on v through the attitude error as the specific force does.
+the error of the indicated velocity, so that v and phi are independent at the start, as an alignment (and
+`terranav.ins.strapdown`) leaves them. V' is what the indicated velocity gains from one epoch to the next: through it
+the attitude error acts in manoeuvres, as it does through the specific force.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ EARTH_RATE_RADPS = 7.292115e-5
 _GRAVITY_EQUATOR, _GRAVITY_FORM = 9.7803253359, 0.00193185265241  # of the WGS-84 normal gravity formula
 _LAST_LAT_DEG = 89.0  # north-east-down has no meaning at the poles
 _FASTEST_MPS = 1000.0  # of a velocity made from positions, which may jump
+_SHORTEST_S = 1e-9  # what is less is no time
 _TURN_DEG = 20.0  # attitude is taken as constant over a change of this
 _MOST_PARTS = 12
 _SERIES_S = 10.0  # the series below converge to 1e-11 over this time; longer ones are doubled
@@ -98,21 +100,22 @@ def transition(ins: InsGrade, before: Epoch, after: Epoch) -> tuple[FloatArray, 
         error north and east [m], [m/s], then the states of `initial_covariance`.
     """
     dt = after.time_s - before.time_s
-    if dt <= 0.0:
+    if dt < _SHORTEST_S:
         return np.eye(13), np.zeros((13, 13))
     start, end = _ends(before, after)
     turned = [(b - a + 180.0) % 360.0 - 180.0 for a, b in zip(start.attitude_deg, end.attitude_deg, strict=True)]
     parts = min(max(1, math.ceil(max(map(abs, turned)) / _TURN_DEG)), _MOST_PARTS)
-    phi, q = to_platform(start.velocity_mps), np.zeros((13, 13))
+    gained = _cross(*((b - a) / dt for a, b in zip(start.velocity_mps, end.velocity_mps, strict=True)))
+    phi, q = np.eye(13), np.zeros((13, 13))
     for i in range(parts):
         middle = _between(start, end, turned, (i + 0.5) / parts)
-        lift = held(middle.velocity_mps)
-        rate = (system_matrix(middle) @ lift)[HELD]
-        step_phi, step_q = _stepped(rate, noise_input(ins, middle.velocity_mps)[HELD], dt / parts)
+        to_u = to_platform(middle.velocity_mps)
+        to_v = 2.0 * np.eye(13) - to_u  # its inverse: the part off the diagonal is nilpotent
+        rate = to_v @ (system_matrix(middle) @ held(middle.velocity_mps))[HELD] @ to_u
+        rate[2:4, 4:7] += gained[:2]
+        step_phi, step_q = _stepped(rate, to_v @ noise_input(ins, middle.velocity_mps)[HELD], dt / parts)
         phi, q = step_phi @ phi, step_phi @ q @ step_phi.T + step_q
-    ned = 2.0 * np.eye(13) - to_platform(end.velocity_mps)  # its inverse: the part off the diagonal is nilpotent
-    q = ned @ q @ ned.T
-    return ned @ phi, 0.5 * (q + q.T)
+    return phi, 0.5 * (q + q.T)
 
 
 def system_matrix(at: Flight) -> FloatArray:
@@ -202,7 +205,7 @@ def attitude_matrix(attitude_deg: Triple) -> FloatArray:
 
 def _stepped(f: FloatArray, g: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
     """Transition and noise covariance over dt of x' = f x + g white noise: series over a part of dt, then doubled."""
-    doublings = max(0, math.ceil(math.log2(dt / _SERIES_S)))
+    doublings = math.ceil(math.log2(max(dt, _SERIES_S) / _SERIES_S))
     h = dt / 2.0**doublings
     power, shaped = np.eye(len(f)), g
     phi, series = power, [shaped]
@@ -222,9 +225,8 @@ def _ends(before: Epoch, after: Epoch) -> tuple[Flight, Flight]:
     """The flight at both epochs, what is missing filled in."""
     velocities = _filled(before.velocity_mps, after.velocity_mps)
     if velocities is None:
-        dt = after.time_s - before.time_s
         north, east = offset_of(before.lat_deg, before.lon_deg, after.lat_deg, after.lon_deg)
-        per_s = 1.0 / max(dt, math.hypot(north, east) / _FASTEST_MPS)
+        per_s = 1.0 / max(after.time_s - before.time_s, math.hypot(north, east) / _FASTEST_MPS)
         velocities = ((north * per_s, east * per_s, 0.0),) * 2
     attitudes = _filled(before.attitude_deg, after.attitude_deg)
     if attitudes is None:
