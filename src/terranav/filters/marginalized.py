@@ -168,8 +168,7 @@ class Marginalized:
         for reading, chart in pairs:
             state, innovation = self._updated(state, epoch, chart, reading)
             innovations.append(innovation)
-            if state.cloud is not None:
-                state = replace(state, cloud=self._renewed(state.cloud, rng))
+            state = self._renewed(state, rng)
         nis = [one.nis for one in innovations if one.known > 0.5]
         judgement = judge(
             self._judge,
@@ -330,11 +329,12 @@ class Marginalized:
         cloud = replace(cloud, mean=mean_now, cov=cov_now)
         return replace(state, cloud=cloud, mean=mean_now, cov=cov_now + common), innovation
 
-    def _renewed(self, cloud: Cloud, rng: Generator) -> Cloud:
-        """The cloud, resampled where too few particles carry the weight."""
-        if float(cloud.weight @ cloud.weight) * RESAMPLE_SHARE * cloud.weight.size <= 1.0:
-            return cloud
-        return resampled(cloud, self._count(covered_area(cloud)), self._cell_m, rng)
+    def _renewed(self, state: MarginalizedState, rng: Generator) -> MarginalizedState:
+        """The state, its cloud resampled where too few particles carry the weight."""
+        cloud = state.cloud
+        if cloud is None or kernels.effective(cloud.weight) >= RESAMPLE_SHARE * cloud.weight.size:
+            return state
+        return replace(state, cloud=resampled(cloud, self._count(covered_area(cloud)), self._cell_m, rng))
 
 
 def _met(state: MarginalizedState, number: int, slope2: float) -> MarginalizedState:

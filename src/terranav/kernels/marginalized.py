@@ -156,6 +156,15 @@ def predicted(weight, residual, slope2, noise, common):
 
 
 @jit
+def effective(weight):
+    """Effective number of particles, 1 / sum(w^2); no BLAS, which would wake its threads for a long vector."""
+    power = 0.0
+    for k in range(weight.size):
+        power += weight[k] * weight[k]
+    return 1.0 / power
+
+
+@jit
 def mean_known(weight, residual, value):
     """Mean of a value under the weights where the map says something, 0 where it says nothing."""
     known, total = 0.0, 0.0
