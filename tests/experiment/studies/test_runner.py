@@ -96,7 +96,7 @@ def test_studies_of_one_family_share_their_runs(tmp_path: Path) -> None:
 def test_a_folder_is_not_taken_by_mistake(tmp_path: Path) -> None:
     run_study(prepared(), tmp_path / "out", executor=HERE)
     for other in (prepared(seed=4), prepared(runs=4), prepared(chunk=3)):
-        with pytest.raises(ConfigError, match="holds another study .*expected the same one or a new folder"):
+        with pytest.raises(ConfigError, match=r"holds another study .*expected the same one or a new folder"):
             run_study(other, tmp_path / "out", executor=HERE)
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("x")

@@ -8,7 +8,13 @@ from terranav.core.checks import unknown_name
 from terranav.experiment.studies.study import Study
 
 #: name of the command -> module whose STUDY it is
-_HOMES = {"bound": "bound", "consistency": "consistency", "real": "real"}
+_HOMES = {
+    "bound": "bound",
+    "consistency": "consistency",
+    "integrity": "integrity_study",
+    "real": "real",
+    "robust": "robust",
+}
 
 
 def studies() -> list[str]:
