@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terranav.core.earth import offset_m, shift
+from terranav.core.earth import SCHULER_RAD_PER_S, offset_m, shift
 from terranav.core.errors import ConfigError, DataError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.recording import Recording
@@ -66,6 +66,28 @@ def test_velocity_is_the_rate_of_the_drift_without_walk() -> None:
     time = np.arange(0.0, 600.0, 0.5)
     position, velocity = draw_drift(time, ins, np.random.default_rng(3))
     np.testing.assert_allclose(np.gradient(position, time, axis=0)[1:-1], velocity[1:-1], atol=2e-3)
+
+
+def test_an_initial_velocity_error_swings_in_the_schuler_loop_and_is_constant_without_one() -> None:
+    level = InsGrade(1e-9, 1.0, 0.0)
+    looped = InsGrade(1e-9, 1.0, 0.0, attitude_sigma_deg=1e-12)
+    time = np.arange(0.0, 5101.0, 60.0)
+    (position, velocity), (swung, swinging) = (draw_drift(time, i, np.random.default_rng(3)) for i in (level, looped))
+    np.testing.assert_allclose(position, velocity[0] * time[:, None], atol=1e-6)
+    np.testing.assert_array_equal(velocity, np.broadcast_to(velocity[0], velocity.shape))
+    phase = SCHULER_RAD_PER_S * time[:, None]
+    np.testing.assert_allclose(swung, velocity[0] * np.sin(phase) / SCHULER_RAD_PER_S, atol=1e-5)
+    np.testing.assert_allclose(swinging, velocity[0] * np.cos(phase), atol=1e-8)
+
+
+def test_velocity_is_the_rate_of_the_drift_with_every_walk_in_the_loop() -> None:
+    """Whatever is kicked: the integral of the velocity is the position, to the trapezoid of small steps."""
+    ins = InsGrade(1e-9, 1.0, 0.0, 0.05, 0.05, 0.0, 1.0, 100.0, 0.1, 0.1)
+    time = np.arange(0.0, 3000.0, 1.0)
+    position, velocity = draw_drift(time, ins, np.random.default_rng(4))
+    travelled = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (velocity[1:] + velocity[:-1]), axis=0)])
+    # apart from what a walk does within a step, sqrt(dt^3 / 12) a step, here 0.015 m
+    np.testing.assert_allclose(position - position[0], travelled, atol=4.0 * 0.015 * math.sqrt(time.size))
 
 
 def test_indicated_is_taken_for_true_where_no_truth_is_known() -> None:
