@@ -12,13 +12,14 @@ from terranav.core.records import Status
 from terranav.integrity import recovery, words
 from terranav.integrity.protection import FAR, protection_level
 from terranav.integrity.state import Anchor, MonitorState, Verdict
-from terranav.integrity.windows import LENGTHS, LONGEST, coloured, contradiction, excess
+from terranav.integrity.windows import LENGTHS, LONGEST, coloured, contradiction, excess, nis_limit
 
 if TYPE_CHECKING:
     from terranav.integrity.monitored import Monitored
 
 SHARE = 0.5  # of the risk is for the posterior
 TOLD = 1.3  # sigmas that look so many times too small are said
+ALARM, ALARM_LENGTHS = 1e-4, (1, 3, 5)  # probability, readings: withholds a fix until the next agrees
 CLIP = 16.0
 
 
@@ -50,10 +51,11 @@ def verdict(monitor: Monitored, state: MonitorState) -> Verdict:
         return Verdict(Status.SEARCHING, mean, level, False, (*unproven, *complaints, *notes))
     if unproven or complaints:
         return Verdict(Status.DEGRADED, mean, level, False, (*unproven, *complaints, *notes))
-    withheld = []
+    withheld: list[str] = []
     if monitor.alert_limit_m is not None and level > monitor.alert_limit_m:
         limit = words.metres(monitor.alert_limit_m)
         withheld = [f"protection level {words.metres(level)} beyond the alert limit of {limit}"]
+    withheld += _alarms(state)
     return Verdict(Status.CONVERGED, mean, level, not withheld, (*withheld, *notes))
 
 
@@ -103,6 +105,21 @@ def _complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
     if seen and state.silent.issuperset(seen):
         found.append("no reading is left to hold the position")
     return tuple(found)
+
+
+def _alarms(state: MonitorState) -> list[str]:
+    """Kinds whose very latest readings are so far off that the fix waits for the next."""
+    found = []
+    for window in state.windows:
+        if window.kind in state.silent:
+            continue
+        for length in ALARM_LENGTHS:
+            mean = window.mean_nis(length)
+            if len(window) >= length and mean > nis_limit(length, ALARM):
+                last = "reading is" if length == 1 else f"{length} readings are"
+                found.append(f"the latest {window.kind} {last} {math.sqrt(mean):.1f} sigma off")
+                break
+    return found
 
 
 def _left_out(state: MonitorState) -> tuple[str, ...]:

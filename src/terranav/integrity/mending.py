@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.random import Generator
 
+from terranav.core.earth import shift
+from terranav.core.judgement import largest_sigma_m
+from terranav.core.records import Prior
 from terranav.integrity import recovery, rivals, words
 from terranav.integrity.protection import Tail
 from terranav.integrity.state import LeftOut, MonitorState
 from terranav.integrity.windows import (
     LENGTHS,
     LONGEST,
+    NOISE,
     RESIDUAL,
+    VALUE,
     Finding,
     Window,
     coloured,
@@ -28,8 +33,12 @@ from terranav.integrity.windows import (
 if TYPE_CHECKING:
     from terranav.integrity.monitored import Monitored
 
-RIVALS_WIN = 0.99  # probability of all rivals at which the estimate is given up
-YOUNG = 20  # readings before rivals can tell noise from a wrong place
+RIVAL_WINS = 6.0  # log likelihood ratio of a rival at which the estimate is given up
+RANK_EARLY, RANK = 0.05, 0.005  # share of rivals that fit better: the place is wrong; after 20 readings
+BLIND = 20  # readings of which the map says nothing, after which a search has left the map
+CALM = 0.6  # mean NIS below which a raised sigma is lowered
+EDGE, SLIVER = 40, 0.02  # readings after which a search beyond the map is cut, if more than this share lies there
+DOUBT_WITHIN = 2.0  # times the covariance of what lies within
 LARGEST_FACTOR = 30.0
 DOUBT = 1e-3  # probability that residuals as told are called doubtful
 AGREES = 1e-3  # probability that a kind that agrees again fails its test
@@ -37,6 +46,10 @@ AGREES = 1e-3  # probability that a kind that agrees again fails its test
 
 def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorState:
     """The state after what this epoch's readings call for."""
+    if state.lost and state.off_map >= BLIND:
+        return replace(_searched(monitor, state, state.lost, 0, rng), off_map=1)
+    if state.lost and state.off_map == 0 and state.since >= EDGE and state.since % EDGE == 0:
+        state = _within_the_map(monitor, state, rng)
     if not any(one.known > 0.5 for one in state.innovations):
         return state
     state = _sensors_that_hang(monitor, state, rng)
@@ -45,19 +58,49 @@ def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorSt
         for window in state.windows
         if window.kind not in state.silent and (found := contradiction(window.nis, monitor.false_alarm))
     }
-    wrong = {kind: found for kind, found in bad.items() if not _only_noisy(state, kind)}
-    state = _factors(monitor, state, set(bad) - set(wrong))
-    if wrong and (state.rivals is None or state.rivals.readings >= YOUNG or state.lost):
+    state = replace(state, doubted=(state.doubted if state.doubted >= 0 else state.readings) if bad else -1)
+    verdicts = {kind: _judged(monitor, state, kind, found) for kind, found in bad.items()}
+    wrong = {kind: bad[kind] for kind, found in verdicts.items() if found == "wrong"}
+    state = _factors(monitor, state, {kind for kind, found in verdicts.items() if found == "noisy"})
+    if wrong:
         return _contradicted(monitor, state, wrong, rng)
     standing = state.standing
-    if standing is not None and standing.share > RIVALS_WIN and _doubtful(state):
+    if standing is not None and standing.best > RIVAL_WINS and _doubtful(state):
         return _searched(monitor, state, words.elsewhere(-standing.best_m, standing.share), standing.readings, rng)
     return _taken_in(monitor, state)
 
 
-def _only_noisy(state: MonitorState, kind: str) -> bool:
-    """Whether the latest readings of a kind, for all their noise, speak for this place and no other."""
-    return state.rivals is not None and rivals.supports(state.rivals, kind, 0.0)
+def _within_the_map(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorState:
+    """A search whose area reaches beyond the map, where no reading can refute it, goes on with what lies within."""
+    known = min(one.known for one in state.innovations)
+    if not 0.5 < known < 1.0 - SLIVER or state.epoch is None:
+        return state
+    cloud = monitor.estimator.posterior(state.inner)
+    lat, lon = shift(state.epoch.lat_deg, state.epoch.lon_deg, -cloud.north_m, -cloud.east_m)
+    inside = np.all([chart.covers(lat, lon) for chart in monitor.maps], axis=0)
+    weight = np.where(inside, cloud.weight, 0.0)
+    if weight.sum() <= 0.0:
+        return state
+    at = np.stack([cloud.north_m, cloud.east_m])
+    mean = at @ weight / weight.sum()
+    cov = np.cov(at, aweights=weight, bias=True) + 1.0 * np.eye(2)
+    return _anew(monitor, state, Prior(mean, DOUBT_WITHIN * cov), rng)
+
+
+def _judged(monitor: Monitored, state: MonitorState, kind: str, found: Finding) -> Literal["wrong", "noisy", "open"]:
+    """Whether readings that contradict the map come from another place, or are only noisier than told.
+
+    Noise spares no place; from another place, the readings fit the estimate no better than most of its rivals.
+    """
+    if state.rivals is None:
+        return "wrong"
+    window = next(one for one in state.windows if one.kind == kind)
+    chart = next(one for one in monitor.maps if one.kind == kind)
+    age = state.readings - state.doubted
+    if age < LENGTHS[1]:
+        return "wrong" if rivals.rank(state.rivals, window, chart, found.readings) > RANK_EARLY else "open"
+    readings = max(LENGTHS[1], min(age, len(window)))
+    return "wrong" if rivals.rank(state.rivals, window, chart, readings) > RANK else "noisy"
 
 
 def _doubtful(state: MonitorState) -> bool:
@@ -77,16 +120,23 @@ def _factors(monitor: Monitored, state: MonitorState, noisy: set[str]) -> Monito
         window, nis = seen, seen.nis
         factor = factors.get(window.kind, 1.0)
         full = len(window) >= LONGEST
-        scattered = full and excess(nis, monitor.false_alarm) and _only_noisy(state, window.kind)
-        if window.kind in noisy or (scattered and coloured(window, monitor.false_alarm) is None):
+        if window.kind in noisy or (full and _scatters(monitor, state, window)):
             factors[window.kind] = min(factor * max(noise_factor(nis, LONGEST), 1.1), LARGEST_FACTOR)
             window = window.cleared()
-        elif full and factor > 1.0 and float(nis.mean()) < 0.7:
+        elif factor > 1.0 and len(window) >= LENGTHS[1] and float(nis.mean()) < CALM:
             factors[window.kind] = max(factor * float(np.sqrt(nis.mean())), 1.0)
             window = window.cleared()
         windows.append(window)
     kept = tuple(sorted((kind, factor) for kind, factor in factors.items() if factor > 1.0))
     return replace(state, windows=tuple(windows), factors=kept)
+
+
+def _scatters(monitor: Monitored, state: MonitorState, window: Window) -> bool:
+    """Whether a full window is a little too noisy all along, about the right place, and white."""
+    if excess(window.nis, monitor.false_alarm) is None or coloured(window, monitor.false_alarm) is not None:
+        return False
+    chart = next(one for one in monitor.maps if one.kind == window.kind)
+    return state.rivals is not None and rivals.rank(state.rivals, window, chart, len(window)) <= RANK
 
 
 def _contradicted(monitor: Monitored, state: MonitorState, wrong: dict[str, Finding], rng: Generator) -> MonitorState:
@@ -112,7 +162,11 @@ def _searched(monitor: Monitored, state: MonitorState, reason: str, readings: in
     left = recovery.left_out_anew(state, kinds, f"{' and '.join(kinds)} readings left out in the search")
     spread = recovery.spread_of(state, turn, monitor.most_spread_m)
     anchors = state.anchors if state.lost else recovery.before_trouble(state, readings)
-    lost = replace(state, lost=state.lost or reason, attempt=attempt, left_out=left, fixed=False, anchors=anchors)
+    factor = recovery.noise_of(turn)
+    factors = tuple((window.kind, factor) for window in state.windows if window.seen) if factor > 1.0 else ()
+    lost = replace(
+        state, lost=state.lost or reason, attempt=attempt, left_out=left, fixed=False, anchors=anchors, factors=factors
+    )
     return _restarted(monitor, lost, 0, spread, rng)
 
 
@@ -120,17 +174,21 @@ def _restarted(monitor: Monitored, state: MonitorState, readings: int, spread_m:
     """The estimator started anew around the last good estimate from before the latest `readings`."""
     if readings:
         state = replace(state, anchors=recovery.before_trouble(state, readings))
-    area = recovery.search_area(state, monitor.ins, spread_m)
+    return _anew(monitor, state, recovery.search_area(state, monitor.ins, spread_m), rng)
+
+
+def _anew(monitor: Monitored, state: MonitorState, area: Prior, rng: Generator) -> MonitorState:
+    """The estimator started anew in an area, and nothing seen yet."""
     inner = monitor.estimator.excluding(state.inner, state.silent)
     inner = monitor.estimator.restarted(inner, area, rng)
-    estimate = monitor.estimator.estimate(inner)
-    sigma = float(np.sqrt(np.linalg.eigvalsh(area.cov_m2)[-1]))
+    sigma = largest_sigma_m(area.cov_m2)
     return replace(
         state,
         inner=inner,
         windows=tuple(window.cleared() for window in state.windows),
         since=0,
-        mean_m=estimate.ins_error_m,
+        doubted=-1,
+        mean_m=monitor.estimator.estimate(inner).ins_error_m,
         sigma_m=sigma,
         spread_m=sigma,
         rivals=None,
@@ -158,7 +216,7 @@ def _sensors_that_hang(monitor: Monitored, state: MonitorState, rng: Generator) 
 def _moves(state: MonitorState, kind: str) -> bool:
     """Whether the latest value of a kind differs from the one before."""
     window = next(one for one in state.windows if one.kind == kind)
-    return len(window) >= 2 and window.rows[-1, -1] != window.rows[-2, -1]
+    return len(window) >= 2 and window.rows[-1, VALUE] != window.rows[-2, VALUE]
 
 
 def _readmitted(monitor: Monitored, state: MonitorState, kinds: set[str]) -> MonitorState:
@@ -167,6 +225,14 @@ def _readmitted(monitor: Monitored, state: MonitorState, kinds: set[str]) -> Mon
     windows = tuple(window.cleared() if window.kind in kinds else window for window in state.windows)
     inner = monitor.estimator.excluding(state.inner, frozenset(one.kind for one in left))
     return replace(state, left_out=left, windows=windows, inner=inner)
+
+
+def named(monitor: Monitored, state: MonitorState, one: LeftOut) -> LeftOut:
+    """A kind without which the position was found, and why it stays out."""
+    window = next(window for window in state.windows if window.kind == one.kind)
+    found = contradiction(window.nis, monitor.false_alarm)
+    reason = words.contradicts(one.kind, found) if found else f"{one.kind} readings did not fit the others"
+    return replace(one, reason=reason, trial=False)
 
 
 def _taken_in(monitor: Monitored, state: MonitorState) -> MonitorState:
@@ -188,6 +254,6 @@ def _agrees(monitor: Monitored, window: Window) -> bool:
     if len(window) < LONGEST:
         return False
     chart = next(chart for chart in monitor.maps if chart.kind == window.kind)
-    noise = float(window.rows[:, 2].mean()) + chart.sigma**2
+    noise = float(window.rows[:, NOISE].mean()) + chart.sigma**2
     scatter = float(np.var(window.rows[:, RESIDUAL], ddof=1)) / noise
     return scatter < nis_limit(len(window), AGREES) and contradiction(window.nis, monitor.false_alarm) is None

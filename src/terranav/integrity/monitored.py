@@ -194,7 +194,7 @@ def _seen(state: MonitorState, readings: tuple[Measurement, ...], outage_s: floa
     pairs = list(zip(readings, state.innovations, strict=True))
     compared = [(reading, one) for reading, one in pairs if one.known > 0.5 and one.variance > 0.0]
     if pairs:
-        state = replace(state, off_map=not compared)
+        state = replace(state, off_map=0 if compared else state.off_map + 1)
     if not compared or state.epoch is None:
         return state
     now = state.epoch.time_s
@@ -204,7 +204,7 @@ def _seen(state: MonitorState, readings: tuple[Measurement, ...], outage_s: floa
         windows = tuple(window.cleared() for window in windows)
     by_kind = {window.kind: window for window in windows}
     for reading, one in compared:
-        by_kind[one.kind] = by_kind[one.kind].plus(one, reading.value)
+        by_kind[one.kind] = by_kind[one.kind].plus(one, reading.value, state.epoch, state.mean_m)
     if math.isfinite(gap) and gap > 0.0:
         typical = state.gap_s + GAP_MEMORY * (gap - state.gap_s) if math.isfinite(state.gap_s) else gap
         state = replace(state, gap_s=typical)
@@ -233,4 +233,5 @@ def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
     if not judging.proven(monitor, state) or state.sigma_m > HYSTERESIS * monitor.converged_sigma_m:
         return state
     proved = None if state.rivals is None else replace(state.rivals, proved=True)
-    return replace(state, fixed=True, lost="", attempt=0, rivals=proved)
+    found = tuple(mending.named(monitor, state, one) if one.trial else one for one in state.left_out)
+    return replace(state, fixed=True, lost="", attempt=0, rivals=proved, left_out=found)

@@ -14,6 +14,8 @@ from terranav.integrity.state import Anchor, FloatArray, LeftOut, MonitorState
 EVERY = 10  # readings between two anchors
 KEPT = 8  # of them
 MARGIN = 4  # readings before the trouble showed that are not trusted either
+GROWTH = 3.0  # of the search from one failed attempt to the next
+NOISE = (1.0, 3.0, 1.0, 10.0)
 DOUBT = 4.0  # times the covariance of an anchor
 
 
@@ -45,9 +47,17 @@ def search_area(state: MonitorState, ins: InsGrade, spread_m: float) -> Prior:
 
 
 def spread_of(state: MonitorState, turn: int, most_m: float) -> float:
-    """Spread of a search that has failed `turn` times: the start's sigma, doubled each time [m]."""
+    """Spread of a search that has failed `turn` times: the start's sigma, three times as much each time [m]."""
     first = largest_sigma_m(state.prior.cov_m2)
-    return min(first * 2.0 ** min(turn, 60), max(most_m, first))
+    return min(first * GROWTH ** min(turn, 30), max(most_m, first))
+
+
+def noise_of(turn: int) -> float:
+    """How many times larger the noise is taken than told in a search that has failed so often.
+
+    Sigmas that are far too small look like a wrong place: any place is soon contradicted.
+    """
+    return NOISE[turn % len(NOISE)]
 
 
 def suspects(state: MonitorState, attempt: int) -> tuple[tuple[str, ...], int]:
@@ -67,7 +77,10 @@ def left_out_anew(state: MonitorState, kinds: Sequence[str], reason: str) -> tup
     """These kinds left out instead of those that were; sensors that hang stay out."""
     strikes = {one.kind: one.strikes + 1 for one in state.left_out}
     stuck = tuple(one for one in state.left_out if one.stuck)
-    return (*stuck, *(LeftOut(kind, reason, state.readings, False, strikes.get(kind, 0)) for kind in kinds))
+    return (
+        *stuck,
+        *(LeftOut(kind, reason, state.readings, strikes=strikes.get(kind, 0), trial=True) for kind in kinds),
+    )
 
 
 def patience(one: LeftOut, readings: int) -> int:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from terranav.core.kinds import KINDS
 from terranav.core.records import Epoch, Measurement
+from terranav.integrity.windows import CENTRE, PLACE, VALUE, Window
 from terranav.kernels import integrity as kernels
 from terranav.maps.map import Map
 
@@ -31,7 +32,7 @@ SIDE = 71  # of the lattice, in places
 CERTAIN = 14.0  # the probability of a rival sinks to exp(-14) of the risk and no further, so that it can come back
 FADING = 0.97  # memory of what is recent: 33 readings
 NEAR = 3.0  # rivals within so many spacings belong to the estimate's own surroundings
-SUPPORT = -2.0  # recent log ratio of the best rival below which the readings speak for the estimate
+RANKED = 8  # one rival in so many is enough to rank the estimate among them
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +93,17 @@ class Standing:
         No more than the risk lies beyond [m].
     share : float
         Probability of all rivals outside the estimate's surroundings.
+    best : float
+        Log likelihood ratio of the likeliest against the estimate.
     best_m : (2,) float64
-        Offset of the INS error of the likeliest from the estimate's [m].
+        Offset of its INS error from the estimate's [m].
     readings : int
         That have been weighed.
     """
 
     reach_m: float
     share: float
+    best: float
     best_m: FloatArray
     readings: int
 
@@ -180,19 +184,34 @@ def standing(rivals: Rivals, budget: float, near_m: float) -> Standing:
     if not rivals.proved:
         recent = np.sum([evidence.recent for _, evidence in rivals.evidence], axis=0) if rivals.evidence else 0.0
         odds = np.maximum(odds, np.minimum(recent, 0.0))
-    reach, share, best, _ = kernels.reach_of_rivals(distance, order, odds, budget, near, odds)
-    return Standing(reach * rivals.spacing_m, share, nodes[best] * rivals.spacing_m, rivals.readings)
+    reach, share, best = kernels.reach_of_rivals(distance, order, odds, budget, near)
+    return Standing(
+        reach * rivals.spacing_m,
+        share,
+        float(odds[best]) if best else 0.0,
+        nodes[best] * rivals.spacing_m,
+        rivals.readings,
+    )
 
 
-def supports(rivals: Rivals, kind: str, near_m: float) -> bool:
-    """Whether the latest readings of a kind speak for the estimate against every rival."""
-    evidence = dict(rivals.evidence).get(kind)
-    if evidence is None:
-        return False
-    _, distance, order = _lattice()
-    near = max(near_m / rivals.spacing_m, NEAR)
-    *_, best = kernels.reach_of_rivals(distance, order, rivals.odds, 1.0, near, evidence.recent)
-    return bool(best < SUPPORT)
+def rank(rivals: Rivals, window: Window, chart: Map, readings: int) -> float:
+    """Share of the rivals that the latest readings of a kind fit better than the estimate, whatever their noise.
+
+    About one half where the estimate is as good as any other place, next to nothing where it is right.
+    """
+    rows = window.rows[-readings:]
+    nodes, distance, _ = _lattice()
+    far = nodes[distance > NEAR][::RANKED] * rivals.spacing_m
+    reach = 1.5 * rivals.reach_m + float(np.abs(rows[:, CENTRE]).max())
+    at = [chart.local_frame(lat, lon, max(reach, chart.cell_m)) for lat, lon in rows[:, PLACE]]
+    frames = np.array([(frame.row, frame.col) for frame in at])
+    found = np.empty(1 + len(far))
+    node = np.concatenate([np.zeros((1, 2)), far])
+    kernels.scatter(
+        chart.values, frames, np.ascontiguousarray(rows[:, CENTRE]), np.ascontiguousarray(rows[:, VALUE]), node, found
+    )
+    known = found[1:][np.isfinite(found[1:])]
+    return float(np.mean(known <= found[0])) if known.size and np.isfinite(found[0]) else 1.0
 
 
 @lru_cache(maxsize=1)

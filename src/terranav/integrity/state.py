@@ -39,6 +39,8 @@ class LeftOut:
         Count of readings of all kinds when it was left out.
     stuck : bool
         Because the sensor repeats one value; else because readings and map contradict each other.
+    trial : bool
+        To see whether the position is found without it.
     strikes : int
         How often it was left out before: it has to agree for longer each time.
     """
@@ -48,6 +50,7 @@ class LeftOut:
     since: int
     stuck: bool = False
     strikes: int = 0
+    trial: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +86,8 @@ class MonitorState:
         Time of the latest [s].
     gap_s : float
         Typical time between two of them [s].
-    off_map : bool
-        Whether the map says nothing where the latest readings were taken.
+    off_map : int
+        How many epochs in a row had readings of which the map says nothing.
     mean_m, sigma_m : (2,), float
         The estimated INS error and its largest axis [m].
     spread_m : float
@@ -99,6 +102,8 @@ class MonitorState:
         Why the position is lost, empty when it is not.
     attempt : int
         How many times it was searched anew since.
+    doubted : int
+        Count of readings when they began to contradict the map, -1 when they do not.
     anchors : tuple of Anchor, oldest first
     left_out : tuple of LeftOut
     factors : tuple of (kind, float)
@@ -116,7 +121,7 @@ class MonitorState:
     since: int = 0
     last_s: float = math.nan
     gap_s: float = math.nan
-    off_map: bool = False
+    off_map: int = 0
     mean_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     sigma_m: float = math.inf
     spread_m: float = 0.0
@@ -126,6 +131,7 @@ class MonitorState:
     fixed: bool = False
     lost: str = ""
     attempt: int = 0
+    doubted: int = -1
     anchors: tuple[Anchor, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     factors: tuple[tuple[str, float], ...] = ()

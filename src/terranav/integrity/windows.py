@@ -17,17 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
-from terranav.core.records import Innovation
+from terranav.core.records import Epoch, Innovation
 
 FloatArray = NDArray[np.float64]
 
 LENGTHS = (8, 20, 60)  # readings; the shortest sees a jump, the longest a sigma that is a little too small
 LONGEST = LENGTHS[-1]
 CAP = 100.0  # one NIS counts for no more
+CLIP = 9.0  # or, where a gross error shall not weigh, no more than this
 ALLOWED = 0.1  # share of readings beyond two sigma that is taken for healthy
 STUCK = 8  # the same value so many times is a sensor that hangs, if the map varies
 LAGS = 4
 RESIDUAL, VARIANCE, NOISE, VALUE = range(4)
+PLACE, CENTRE = slice(4, 6), slice(6, 8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,22 +48,24 @@ class Window:
     Attributes
     ----------
     kind : str
-    rows : (n, 4) float64, oldest first, n <= 60
-        Residual, its variance, the part of that which is sensor and map, the reading [the kind's unit].
+    rows : (n, 8) float64, oldest first, n <= 60
+        Residual, its variance, the part of that which is sensor and map, the reading [the kind's unit]; indicated
+        latitude and longitude [deg]; estimated INS error, north and east [m].
     seen : bool
         Whether there ever was a reading of this kind.
     """
 
     kind: str
-    rows: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    rows: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
     seen: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def plus(self, innovation: Innovation, value: float) -> Window:
+    def plus(self, innovation: Innovation, value: float, epoch: Epoch, centre_m: FloatArray) -> Window:
         """The window with one more reading."""
-        row = [[innovation.residual, innovation.variance, innovation.noise, value]]
+        told = (innovation.residual, innovation.variance, innovation.noise, value)
+        row = [[*told, epoch.lat_deg, epoch.lon_deg, centre_m[0], centre_m[1]]]
         return replace(self, rows=np.concatenate([self.rows[1 - LONGEST :], row]), seen=True)
 
     def cleared(self) -> Window:
@@ -99,10 +103,10 @@ def contradiction(nis: FloatArray, false_alarm: float) -> Finding | None:
 
 
 def excess(nis: FloatArray, false_alarm: float) -> Finding | None:
-    """Whether the mean NIS of the whole window is beyond its chi-square limit."""
-    if len(nis) < LENGTHS[1]:
+    """Whether the mean NIS of the whole window is beyond its chi-square limit, single gross errors counting little."""
+    if len(nis) < LENGTHS[0]:
         return None
-    mean, limit = float(nis.mean()), nis_limit(len(nis), false_alarm)
+    mean, limit = float(np.minimum(nis, CLIP).mean()), nis_limit(len(nis), false_alarm)
     return Finding(len(nis), mean, limit) if mean > limit else None
 
 

@@ -84,7 +84,7 @@ def weigh_rivals(values, frame, origin, node, shift, bias, odds, recent, numbers
 
 
 @jit
-def reach_of_rivals(distance, order, odds, budget, near, recent):
+def reach_of_rivals(distance, order, odds, budget, near):
     """How far from the estimate the rivals that are not refuted reach.
 
     Parameters
@@ -94,22 +94,19 @@ def reach_of_rivals(distance, order, odds, budget, near, recent):
     odds : (n,) log likelihood ratio against the estimate
     budget : float, probability that may be left out
     near : float, rivals nearer than this belong to the estimate's own surroundings [m]
-    recent : (n,) log likelihood ratio with fading memory
 
     Returns
     -------
     reach : distance beyond which the rivals hold no more than the budget, 0 when those that are not near hold less
     share : probability of the rivals that are not near, each even odds with the estimate before any reading
     best : index of the likeliest rival that is not near, 0 when there is none
-    support : largest recent log ratio among the rivals that are not near
     """
-    share, best, support = 0.0, 0, -np.inf
+    share, best = 0.0, 0
     for k in range(1, odds.size):
         if distance[k] > near:
             share += math.exp(odds[k])
             if best == 0 or odds[k] > odds[best]:
                 best = k
-            support = max(support, recent[k])
     total = 1.0 + share
     beyond, reach = 0.0, 0.0
     for i in range(odds.size - 1):
@@ -120,7 +117,32 @@ def reach_of_rivals(distance, order, odds, budget, near, recent):
         if beyond > budget * total:
             reach = distance[k]
             break
-    return reach, share / total, best, support
+    return reach, share / total, best
+
+
+@jit
+def scatter(values, frames, centre, value, node, out):
+    """Scatter of the residuals about their mean, were the vehicle displaced all along.
+
+    Parameters
+    ----------
+    values : (rows, cols) float32
+    frames : (n, 2, 6) float64, of the LocalFrame at each indicated position
+    centre : (n, 2) float64, the estimated INS errors [m]
+    value : (n,) float64, the readings
+    node : (k, 2) float64, offsets of the INS error [m]
+    out : (k,) written: mean square about the mean, NaN where the map answers fewer than half of the readings
+    """
+    for k in range(len(node)):
+        count, mean, square = 0, 0.0, 0.0
+        for i in range(value.size):
+            h = _at(values, frames[i], -centre[i, 0] - node[k, 0], -centre[i, 1] - node[k, 1])[0]
+            if h == h:
+                count += 1
+                away = value[i] - h - mean
+                mean += away / count
+                square += away * (value[i] - h - mean)
+        out[k] = square / count if 2 * count >= value.size else np.nan
 
 
 @jit
