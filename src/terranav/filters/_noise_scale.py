@@ -7,6 +7,8 @@ approach); so a cloud over kilometres, which fits nothing well, teaches nothing 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +21,14 @@ SWITCH = 0.005  # chance a reading of a step to either side
 
 def told() -> FloatArray:
     """Probability of each of SCALES before any reading."""
-    density = np.exp(-0.5 * (np.log2(SCALES) / OCTAVES_SIGMA) ** 2)
+    middle = -0.5 * math.log(2.0) * OCTAVES_SIGMA**2  # where the expected factor is 1
+    density = np.exp(-0.5 * ((np.log2(SCALES) - middle) / OCTAVES_SIGMA) ** 2)
     return np.asarray(density / density.sum())
+
+
+def certain() -> FloatArray:
+    """Probability of each of SCALES where the noise is as told."""
+    return np.asarray(SCALES == 1.0, dtype=np.float64)
 
 
 def learned(probability: FloatArray, likelihood: FloatArray) -> FloatArray:

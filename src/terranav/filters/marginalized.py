@@ -126,10 +126,10 @@ class Marginalized:
     maps: tuple[Map, ...]
     ins: InsGrade
     particles: int = 20_000
-    least_particles: int = 3_000
+    least_particles: int = 4_000
     outlier_share: float = 0.05
     outlier_scale: float = 2.0
-    blur_cells: float = 0.05
+    blur_cells: float = 0.1
     registration_cells: float = 0.29
     adapt_noise: bool = True
     bias_sigma: Mapping[str, float] = field(default_factory=dict)
@@ -239,7 +239,8 @@ class Marginalized:
     def _begun(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
         """The state at the first epoch, before its readings."""
         model = ErrorModel(self.ins, self.maps, ErrorModel.level_for(self.ins, epoch), self.bias_sigma)
-        scale = np.tile(noise_scale.told(), (len(self.maps), 1))
+        start = noise_scale.told() if self.adapt_noise else noise_scale.certain()
+        scale = np.tile(start, (len(self.maps), 1))
         none = np.zeros(len(self.maps))
         state = replace(state, model=model, scale=scale, slope2=none, met=none, epoch=epoch)
         return self._filled(state, model, rng)
