@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from terranav.integrity.monitored import Monitored
 
 SHARE = 0.5  # of the risk is for the posterior
-TOLD = 1.3  # sigmas that look so many times too small are said
+TOLD, FAR_OFF = 1.5, 2.5  # sigmas that look so many times too small are said; and degrade the fix
 ALARM, ALARM_LENGTHS = 1e-4, (1, 3, 5)  # probability, readings: withholds a fix until the next agrees
 CLIP = 16.0
 
@@ -44,7 +44,7 @@ def verdict(monitor: Monitored, state: MonitorState) -> Verdict:
         search = f"searching within {words.metres(state.spread_m)} (1 sigma), attempt {state.attempt}"
         return Verdict(Status.LOST, mean, math.inf, False, (state.lost, search, *_left_out(state)))
     level = protection(monitor, state)
-    unproven, complaints, notes = _unproven(monitor, state), _complaints(monitor, state), _left_out(state)
+    unproven, complaints, notes = _unproven(monitor, state), _complaints(monitor, state), _notes(state)
     if state.standing is not None and state.standing.reach_m > level:
         level = state.standing.reach_m
     if not state.fixed:
@@ -91,8 +91,8 @@ def _complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
             found.append(words.contradicts(window.kind, poor))
         if alike := coloured(window, monitor.false_alarm):
             found.append(words.alike(window.kind, alike))
-        if state.factor(window.kind) >= TOLD:
-            found.append(words.noisy(window.kind, state.factor(window.kind)))
+        if (factor := state.factor(window.kind) * window.scale) >= FAR_OFF:
+            found.append(words.noisy(window.kind, factor))
     if state.tail.far > FAR:
         found.append(
             f"{100.0 * state.tail.far:.2g} % of the posterior lies apart, up to {words.metres(state.tail.reach_m)}"
@@ -120,6 +120,13 @@ def _alarms(state: MonitorState) -> list[str]:
                 found.append(f"the latest {window.kind} {last} {math.sqrt(mean):.1f} sigma off")
                 break
     return found
+
+
+def _notes(state: MonitorState) -> tuple[str, ...]:
+    """What the user should know although the fix stands: sigmas that look too small, and kinds that move nothing."""
+    scales = [(window.kind, state.factor(window.kind) * window.scale) for window in state.windows if window.seen]
+    noisy = tuple(words.noisy(kind, scale) for kind, scale in scales if TOLD <= scale < FAR_OFF)
+    return (*noisy, *_left_out(state))
 
 
 def _left_out(state: MonitorState) -> tuple[str, ...]:

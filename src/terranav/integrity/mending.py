@@ -13,7 +13,7 @@ from terranav.core.judgement import largest_sigma_m
 from terranav.core.records import Prior
 from terranav.integrity import recovery, rivals, words
 from terranav.integrity.protection import Tail
-from terranav.integrity.state import LeftOut, MonitorState
+from terranav.integrity.state import FloatArray, LeftOut, MonitorState
 from terranav.integrity.windows import (
     LENGTHS,
     LONGEST,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 RIVAL_WINS = 6.0  # log likelihood ratio of a rival at which the estimate is given up
 RANK_EARLY, RANK = 0.05, 0.005  # share of rivals that fit better: the place is wrong; after 20 readings
 BLIND = 20  # readings of which the map says nothing, after which a search has left the map
-CALM = 0.6  # mean NIS below which a raised sigma is lowered
+CALM = ((LENGTHS[1], 0.3), (LONGEST, 0.6))  # readings, mean NIS below which a raised sigma is lowered
 EDGE, SLIVER = 40, 0.02  # readings after which a search beyond the map is cut, if more than this share lies there
 DOUBT_WITHIN = 2.0  # times the covariance of what lies within
 LARGEST_FACTOR = 30.0
@@ -123,12 +123,17 @@ def _factors(monitor: Monitored, state: MonitorState, noisy: set[str]) -> Monito
         if window.kind in noisy or (full and _scatters(monitor, state, window)):
             factors[window.kind] = min(factor * max(noise_factor(nis, LONGEST), 1.1), LARGEST_FACTOR)
             window = window.cleared()
-        elif factor > 1.0 and len(window) >= LENGTHS[1] and float(nis.mean()) < CALM:
+        elif factor > 1.0 and _calm(nis):
             factors[window.kind] = max(factor * float(np.sqrt(nis.mean())), 1.0)
             window = window.cleared()
         windows.append(window)
     kept = tuple(sorted((kind, factor) for kind, factor in factors.items() if factor > 1.0))
     return replace(state, windows=tuple(windows), factors=kept)
+
+
+def _calm(nis: FloatArray) -> bool:
+    """Whether readings scatter so little that their sigma was raised too far."""
+    return any(len(nis) >= length and float(nis[-length:].mean()) < limit for length, limit in CALM)
 
 
 def _scatters(monitor: Monitored, state: MonitorState, window: Window) -> bool:
@@ -162,7 +167,7 @@ def _searched(monitor: Monitored, state: MonitorState, reason: str, readings: in
     left = recovery.left_out_anew(state, kinds, f"{' and '.join(kinds)} readings left out in the search")
     spread = recovery.spread_of(state, turn, monitor.most_spread_m)
     anchors = state.anchors if state.lost else recovery.before_trouble(state, readings)
-    factor = recovery.noise_of(turn)
+    factor = 1.0 if state.anchors else recovery.noise_of(turn)  # sigmas that were good for a fix are good
     factors = tuple((window.kind, factor) for window in state.windows if window.seen) if factor > 1.0 else ()
     lost = replace(
         state, lost=state.lost or reason, attempt=attempt, left_out=left, fixed=False, anchors=anchors, factors=factors

@@ -28,7 +28,7 @@ from terranav.integrity.windows import Window, noise_factor
 from terranav.maps.map import Map
 
 RIVALS_SIGMA = 4.0  # how far rivals are looked for, in sigmas of the area that was searched
-FARTHEST_M, FARTHEST_CELLS = 6000.0, 60.0  # but no farther than the larger of these
+FARTHEST_M, FARTHEST_CELLS = 4000.0, 60.0  # but no farther than the larger of these
 BUDGET = 0.5  # of the risk for the posterior, and as much for the rivals
 GAP_MEMORY = 0.1
 
@@ -162,7 +162,7 @@ class Monitored:
     def _weighed(self, state: MonitorState, readings: tuple[Measurement, ...]) -> MonitorState:
         """Rivals from the first fix on, and what these readings say of them."""
         pairs = list(zip(readings, state.innovations, strict=True))
-        used = [reading for reading, one in pairs if one.used and one.known > 0.5]
+        used = [(reading, one.scale) for reading, one in pairs if one.used and one.known > 0.5]
         if not used or state.epoch is None:
             return state
         if state.rivals is None:
@@ -175,14 +175,14 @@ class Monitored:
             field = state.rivals
             charts = {chart.kind: chart for chart in self.maps}
             windows = {window.kind: window for window in state.windows}
-            for reading in used:
+            for reading, scale in used:
                 field = rivals.weighed(
                     field,
                     state.epoch,
                     reading,
                     charts[reading.kind],
                     state.mean_m,
-                    factor=noise_factor(windows[reading.kind].nis),
+                    factor=scale * noise_factor(windows[reading.kind].nis),
                     budget=BUDGET * self.risk,
                 )
         near = judging.protection(self, state)

@@ -53,11 +53,14 @@ class Window:
         latitude and longitude [deg]; estimated INS error, north and east [m].
     seen : bool
         Whether there ever was a reading of this kind.
+    scale : float
+        How many times noisier than told the estimator has found them.
     """
 
     kind: str
     rows: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
     seen: bool = False
+    scale: float = 1.0
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -66,11 +69,11 @@ class Window:
         """The window with one more reading."""
         told = (innovation.residual, innovation.variance, innovation.noise, value)
         row = [[*told, epoch.lat_deg, epoch.lon_deg, centre_m[0], centre_m[1]]]
-        return replace(self, rows=np.concatenate([self.rows[1 - LONGEST :], row]), seen=True)
+        return replace(self, rows=np.concatenate([self.rows[1 - LONGEST :], row]), seen=True, scale=innovation.scale)
 
     def cleared(self) -> Window:
         """Nothing seen yet."""
-        return Window(self.kind, seen=self.seen)
+        return replace(self, rows=self.rows[:0])
 
     @property
     def nis(self) -> FloatArray:
