@@ -20,7 +20,7 @@ def cue(
     *,
     recording: options.Recording,
     maps: options.Maps = None,
-    estimator: Annotated[str, typer.Option(metavar="NAME", help="See `terranav estimators`.")] = "pointmass",
+    estimator: Annotated[str, typer.Option(metavar="NAME", help="See `terranav estimators`.")] = "marginalized",
     margin: Annotated[float, typer.Option(metavar="M", help="Least clearance above ground, in m.")] = 150.0,
     lookahead: Annotated[float, typer.Option(metavar="S", help="How far to look ahead, in s.")] = 120.0,
     threshold: Annotated[float, typer.Option(metavar="P", help="Probability that is a warning.")] = 0.01,

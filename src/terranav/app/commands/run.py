@@ -14,7 +14,7 @@ def run(
     *,
     recording: options.Recording,
     maps: options.Maps = None,
-    estimator: Annotated[str, typer.Option(metavar="NAME", help="See `terranav estimators`.")] = "pointmass",
+    estimator: Annotated[str, typer.Option(metavar="NAME", help="See `terranav estimators`.")] = "marginalized",
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="A setting of the estimator. Repeatable."),
