@@ -66,7 +66,7 @@ def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorSt
         return _contradicted(monitor, state, wrong, rng)
     standing = state.standing
     if standing is not None and standing.best > RIVAL_WINS and _doubtful(state):
-        return _searched(monitor, state, words.elsewhere(-standing.best_m, standing.share), standing.readings, rng)
+        return _searched(monitor, state, words.elsewhere(-standing.best_m, standing.share), LENGTHS[1], rng)
     return _taken_in(monitor, state)
 
 
