@@ -71,7 +71,8 @@ def drawn(prior: Prior, common: FloatArray, count: int, bad: FloatArray, rng: Ge
     rows[:, :2] = prior.mean_m + away @ np.linalg.cholesky(target).T
     weight = np.full(count, 1.0 / count)
     regimes = np.broadcast_to(bad, (count, bad.size)).copy()
-    return Cloud(rows, weight, regimes, common, *kernels.moments(rows, weight), math.sqrt(prior_area(prior) / count))
+    mean, cov = kernels.moments(rows, weight)
+    return Cloud(rows, weight, regimes, common, mean, cov, math.sqrt(prior_area(prior) / count))
 
 
 def advanced(cloud: Cloud, passed: Transition, rng: Generator) -> Cloud:

@@ -14,8 +14,8 @@ A reading y of a map h leaves r = y - h(p) - bias - patch. It weighs a particle 
 
 and moves z as in a Kalman filter, c being the variance of bias + patch in C. What makes that honest:
 
-- not the map's error is in v: it is the state 'patch', correlated along the track, so that readings over one wrong patch
-  count once; nor a common bias, which is a state of its own;
+- v holds neither the map's error, which is the state 'patch', correlated along the track, so that readings over one
+  wrong patch count once, nor a common bias, which is a state of its own;
 - u is the place within a cell for which the map speaks, and, while the cloud is coarse, the ground that one particle
   stands for: a cloud over kilometres sees the terrain only as finely as it can, and loses no truth;
 - b is a particle's own belief that the map is wrong here (a quarry, a wood, a void filled in) or that the reading is an
@@ -270,7 +270,7 @@ class Marginalized:
     def _advanced(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
         """The cloud at an epoch with readings: what is pending drawn, regimes carried on over the ground in between."""
         cloud, last = state.cloud, state.last_reading
-        assert cloud is not None  # noqa: S101  set by _begun()
+        assert cloud is not None  # set by _begun()
         if state.pending is not None:
             cloud = advanced(cloud, state.pending, rng)
         if last is not None:
