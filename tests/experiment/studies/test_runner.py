@@ -143,9 +143,11 @@ KILLED = """
 import sys
 from pathlib import Path
 from terranav.experiment.processes import Processes
+from terranav.experiment.studies import runner
 from terranav.experiment.studies.runner import prepare_study, run_study
 from terranav.experiment.studies.study import Setup
 from tests.experiment.studies import fakes
+runner.program_checksum = lambda: "as it was"  # this is not about an edited program
 if __name__ == "__main__":
     study = prepare_study(fakes.study(fakes.run_slow, chunk=1), Setup(seed=3), 10)
     run_study(study, Path(sys.argv[1]), executor=Processes(2), on_run=lambda *at: print(*at, flush=True))
@@ -153,7 +155,10 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills a process")
-def test_killed_and_resumed_the_figures_are_the_same_and_no_worker_stays(tmp_path: Path) -> None:
+def test_killed_and_resumed_the_figures_are_the_same_and_no_worker_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("terranav.experiment.studies.runner.program_checksum", lambda: "as it was")
     script = tmp_path / "killed.py"
     script.write_text(KILLED)
     root = Path(__file__).resolve().parents[3]

@@ -54,7 +54,7 @@ def report(cases: Sequence[CaseRuns]) -> Report:
     texts = tuple(
         (
             name, f"{one['runs']:.0f}", f"{one['offered']:.0f}", f"{one['beyond']:.0f}", _rate(one["rate"]),
-            _rate(one["upper_95"]), shown(shares[name], 1, scale=100.0), _metres(one["error_m"]),
+            _rate(one["upper_95"]), shown(shares[name], 0, scale=100.0), _metres(one["error_m"]),
             _metres(one["protection_m"]), f"{one['ever_beyond']:.0f}", f"{one['unannounced']:.0f}",
         )
         for name, one in sums.items()
