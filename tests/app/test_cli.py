@@ -101,8 +101,8 @@ def test_wrong_use_from_the_shell() -> None:
     ("more", "expected"),
     [
         (["--estimator", "pontmass"], "did you mean 'pointmass'?"),
-        (["--set", "max_cels=9"], "did you mean 'max_cells'?"),
-        (["--set", "max_cells"], "expected key=value"),
+        (["--set", "particels=9"], "did you mean 'particles'?"),
+        (["--set", "particles"], "expected key=value"),
         (["--seed", "-1"], "seed is -1"),
         (["--since", "-1"], "--since is -1"),
         (["--first", "0"], "--first is 0"),
@@ -163,8 +163,8 @@ def test_output_folder_is_checked_before_the_run(
 def test_run_writes_everything(flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "made" / "here"
     summary = answered(capsys, "run", *flight.arguments, "--seed", 3, "--out", out, "--json")
-    assert summary["estimator"] == "pointmass"
-    assert list(summary["estimators"]) == ["ins", "pointmass"]
+    assert summary["estimator"] == "marginalized"
+    assert list(summary["estimators"]) == ["ins", "marginalized"]
     assert summary["metrics"]["drms_m"] < summary["estimators"]["ins"]["drms_m"]
     assert summary["estimators"]["ins"]["first_fix_s"] is None
     assert summary["recording"]["epochs"] == EPOCHS
@@ -172,7 +172,7 @@ def test_run_writes_everything(flight: Flight, tmp_path: Path, capsys: pytest.Ca
     names = {path.name for path in out.iterdir()}
     assert {*summary["files"], "report.html", "track.png", "error.png", "profile.png", "posterior.png"} <= names
     assert json.loads((out / "metrics.json").read_text()) == summary
-    saved = Result.load(out / "result-pointmass.parquet")
+    saved = Result.load(out / "result-marginalized.parquet")
     assert saved.metrics()["drms_m"] == summary["metrics"]["drms_m"]
 
 
@@ -200,7 +200,7 @@ def test_without_truth(flight: Flight, capsys: pytest.CaptureFixture[str]) -> No
     assert "95 % radius" in out
     summary = answered(capsys, *arguments, "--json")
     assert summary["metrics"]["drms_m"] is None
-    assert summary["estimators"]["pointmass"]["final_95_m"] > 0
+    assert summary["estimators"]["marginalized"]["final_95_m"] > 0
 
 
 def test_drift_makes_a_test_of_a_true_position(flight: Flight, capsys: pytest.CaptureFixture[str]) -> None:
@@ -266,7 +266,7 @@ def test_a_failing_picture_costs_only_the_report(
     monkeypatch.setitem(figures.FIGURES, "error", broken)
     summary = answered(capsys, "run", *flight.arguments, "--out", tmp_path, "--json", status=1)
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"result-ins.parquet", "result-pointmass.parquet", "metrics.json"}
+    assert names == {"result-ins.parquet", "result-marginalized.parquet", "metrics.json"}
     assert set(summary["files"]) == names
     assert main(["run", *flight.arguments, "--out", str(tmp_path)]) == 1
     out, err = capsys.readouterr()

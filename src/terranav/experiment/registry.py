@@ -14,11 +14,11 @@ from terranav.core.checks import unknown_name
 from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator, Matcher
-from terranav.integrity.monitored import Monitored
 from terranav.maps.map import Map
 
 _ADAPTER = "windowed"  # makes an Estimator of a Matcher; not a method of its own
 _GIVEN = ("maps", "ins", "matcher", "estimator")  # fields that are not settings
+_MONITOR = "terranav.integrity.monitored"
 _WATCHED = ("innovations", "restarted", "excluding")  # a method that has these is watched by an integrity monitor
 
 
@@ -130,9 +130,10 @@ def _monitored(name: str, method: type[Any], given: dict[str, Any], settings: di
     own = _settings_of(method)
     mine = {key: value for key, value in settings.items() if key in own}
     rest = {key: value for key, value in settings.items() if key not in own}
-    _check_settings(name, rest, _settings_of(Monitored) if watched else [], also=(*own, "integrity"))
+    monitor = _class_in(_MONITOR)
+    _check_settings(name, rest, _settings_of(monitor) if watched else [], also=(*own, "integrity"))
     inner = method(**given, **mine)
-    return cast("Estimator[Any]", Monitored(inner, **rest) if watched else inner)
+    return cast("Estimator[Any]", monitor(inner, **rest) if watched else inner)
 
 
 def _windowed(matcher: Matcher, ins: InsGrade, settings: dict[str, Any], name: str) -> Estimator[Any]:
