@@ -12,7 +12,7 @@ from terranav.core.records import Status
 from terranav.integrity import recovery, words
 from terranav.integrity.protection import FAR, protection_level
 from terranav.integrity.state import Anchor, MonitorState, Verdict
-from terranav.integrity.windows import LENGTHS, LONGEST, coloured, contradiction, excess, nis_limit
+from terranav.integrity.windows import LENGTHS, contradiction, nis_limit
 
 if TYPE_CHECKING:
     from terranav.integrity.monitored import Monitored
@@ -63,7 +63,9 @@ def anchors(monitor: Monitored, state: MonitorState) -> tuple[Anchor, ...]:
     """The anchors, and the present estimate where it is proven and nothing speaks against it."""
     if state.lost or not state.innovations or not state.fixed or not proven(monitor, state):
         return state.anchors
-    if any(contradiction(window.nis, 1e-4) for window in state.windows if window.kind not in state.silent):
+    if not recovery.due(state) or any(
+        contradiction(window.nis, 1e-4) for window in state.windows if window.kind not in state.silent
+    ):
         return state.anchors
     return recovery.anchored(state, monitor.estimator.estimate(state.inner).cov_m2)
 
@@ -87,10 +89,10 @@ def _complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
     for window in state.windows:
         if window.kind in state.silent or not window.seen:
             continue
-        if poor := contradiction(window.nis, monitor.false_alarm) or excess(window.nis, monitor.false_alarm):
+        if poor := window.bad or window.loud:
             found.append(words.contradicts(window.kind, poor))
-        if alike := coloured(window, monitor.false_alarm):
-            found.append(words.alike(window.kind, alike))
+        if window.alike:
+            found.append(words.alike(window.kind, window.alike))
         if (factor := state.factor(window.kind) * window.scale) >= FAR_OFF:
             found.append(words.noisy(window.kind, factor))
     if state.tail.far > FAR:
@@ -147,7 +149,6 @@ def _scale(monitor: Monitored, state: MonitorState) -> float:
         if window.kind in state.silent or len(window) < LENGTHS[1]:
             continue
         mean = float(np.minimum(window.nis, CLIP).mean())
-        alike = coloured(window, monitor.false_alarm) if len(window) >= LONGEST else None
-        rho = min(alike.figure, 0.9) if alike is not None else 0.0
+        rho = min(window.alike.figure, 0.9) if window.alike is not None else 0.0
         scale2 = max(scale2, mean * (1.0 + rho) / (1.0 - rho))
     return math.sqrt(scale2)

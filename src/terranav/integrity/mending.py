@@ -22,8 +22,6 @@ from terranav.integrity.windows import (
     VALUE,
     Finding,
     Window,
-    coloured,
-    contradiction,
     excess,
     nis_limit,
     noise_factor,
@@ -53,12 +51,9 @@ def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorSt
     if not any(one.known > 0.5 for one in state.innovations):
         return state
     state = _sensors_that_hang(monitor, state, rng)
-    bad = {
-        window.kind: found
-        for window in state.windows
-        if window.kind not in state.silent and (found := contradiction(window.nis, monitor.false_alarm))
-    }
-    state = replace(state, doubted=(state.doubted if state.doubted >= 0 else state.readings) if bad else -1)
+    bad = {window.kind: window.bad for window in state.windows if window.bad and window.kind not in state.silent}
+    if bool(bad) != (state.doubted >= 0):
+        state = replace(state, doubted=state.readings if bad else -1)
     verdicts = {kind: _judged(monitor, state, kind, found) for kind, found in bad.items()}
     wrong = {kind: bad[kind] for kind, found in verdicts.items() if found == "wrong"}
     state = _factors(monitor, state, {kind for kind, found in verdicts.items() if found == "noisy"})
@@ -127,6 +122,8 @@ def _factors(monitor: Monitored, state: MonitorState, noisy: set[str]) -> Monito
             factors[window.kind] = max(factor * float(np.sqrt(nis.mean())), 1.0)
             window = window.cleared()
         windows.append(window)
+    if all(new is old for new, old in zip(windows, state.windows, strict=True)):
+        return state
     kept = tuple(sorted((kind, factor) for kind, factor in factors.items() if factor > 1.0))
     return replace(state, windows=tuple(windows), factors=kept)
 
@@ -138,7 +135,7 @@ def _calm(nis: FloatArray) -> bool:
 
 def _scatters(monitor: Monitored, state: MonitorState, window: Window) -> bool:
     """Whether a full window is a little too noisy all along, about the right place, and white."""
-    if excess(window.nis, monitor.false_alarm) is None or coloured(window, monitor.false_alarm) is not None:
+    if window.loud is None or window.alike is not None:
         return False
     chart = next(one for one in monitor.maps if one.kind == window.kind)
     return state.rivals is not None and rivals.rank(state.rivals, window, chart, len(window)) <= RANK
@@ -232,11 +229,10 @@ def _readmitted(monitor: Monitored, state: MonitorState, kinds: set[str]) -> Mon
     return replace(state, left_out=left, windows=windows, inner=inner)
 
 
-def named(monitor: Monitored, state: MonitorState, one: LeftOut) -> LeftOut:
+def named(state: MonitorState, one: LeftOut) -> LeftOut:
     """A kind without which the position was found, and why it stays out."""
     window = next(window for window in state.windows if window.kind == one.kind)
-    found = contradiction(window.nis, monitor.false_alarm)
-    reason = words.contradicts(one.kind, found) if found else f"{one.kind} readings did not fit the others"
+    reason = words.contradicts(one.kind, window.bad) if window.bad else f"{one.kind} readings did not fit the others"
     return replace(one, reason=reason, trial=False)
 
 
@@ -261,4 +257,4 @@ def _agrees(monitor: Monitored, window: Window) -> bool:
     chart = next(chart for chart in monitor.maps if chart.kind == window.kind)
     noise = float(window.rows[:, NOISE].mean()) + chart.sigma**2
     scatter = float(np.var(window.rows[:, RESIDUAL], ddof=1)) / noise
-    return scatter < nis_limit(len(window), AGREES) and contradiction(window.nis, monitor.false_alarm) is None
+    return scatter < nis_limit(len(window), AGREES) and window.bad is None

@@ -30,6 +30,7 @@ from terranav.maps.map import Map
 RIVALS_SIGMA = 4.0  # how far rivals are looked for, in sigmas of the area that was searched
 FARTHEST_M, FARTHEST_CELLS = 4000.0, 60.0  # but no farther than the larger of these
 BUDGET = 0.5  # of the risk for the posterior, and as much for the rivals
+STRIDE = 4  # once the rivals were refuted, every fourth reading is weighed
 GAP_MEMORY = 0.1
 
 
@@ -114,7 +115,7 @@ class Monitored:
         start_s = epoch.time_s if state.epoch is None else state.start_s
         after = replace(state, inner=inner, epoch=told, start_s=start_s, innovations=innovations)
         after = self._located(after, readings)
-        after = self._weighed(_seen(after, readings, self.outage_s), readings)
+        after = self._weighed(_seen(self, after, readings), readings)
         after = _settled(self, mending.mended(self, after, rng))
         return replace(after, verdict=judging.verdict(self, after), anchors=judging.anchors(self, after))
 
@@ -171,6 +172,8 @@ class Monitored:
             cell = min(chart.cell_m for chart in self.maps)
             reach = min(RIVALS_SIGMA * state.spread_m, max(FARTHEST_M, FARTHEST_CELLS * cell))
             field = rivals.Rivals.within(reach, 0.5 * cell)
+        elif state.rivals.proved and state.readings % STRIDE:
+            return state
         else:
             field = state.rivals
             charts = {chart.kind: chart for chart in self.maps}
@@ -189,25 +192,22 @@ class Monitored:
         return replace(state, rivals=field, standing=rivals.standing(field, BUDGET * self.risk, near))
 
 
-def _seen(state: MonitorState, readings: tuple[Measurement, ...], outage_s: float) -> MonitorState:
+def _seen(monitor: Monitored, state: MonitorState, readings: tuple[Measurement, ...]) -> MonitorState:
     """The windows with these readings; after a gap they start afresh."""
     pairs = list(zip(readings, state.innovations, strict=True))
     compared = [(reading, one) for reading, one in pairs if one.known > 0.5 and one.variance > 0.0]
-    if pairs:
-        state = replace(state, off_map=0 if compared else state.off_map + 1)
     if not compared or state.epoch is None:
-        return state
-    now = state.epoch.time_s
+        return replace(state, off_map=state.off_map + 1) if pairs else state
+    now, typical = state.epoch.time_s, state.gap_s
     gap = now - state.last_s
     windows = state.windows
-    if gap > max(outage_s, 10.0 * state.gap_s if math.isfinite(state.gap_s) else 0.0):
+    if gap > max(monitor.outage_s, 10.0 * typical if math.isfinite(typical) else 0.0):
         windows = tuple(window.cleared() for window in windows)
+    if math.isfinite(gap) and gap > 0.0:
+        typical = typical + GAP_MEMORY * (gap - typical) if math.isfinite(typical) else gap
     by_kind = {window.kind: window for window in windows}
     for reading, one in compared:
-        by_kind[one.kind] = by_kind[one.kind].plus(one, reading.value, state.epoch, state.mean_m)
-    if math.isfinite(gap) and gap > 0.0:
-        typical = state.gap_s + GAP_MEMORY * (gap - state.gap_s) if math.isfinite(state.gap_s) else gap
-        state = replace(state, gap_s=typical)
+        by_kind[one.kind] = by_kind[one.kind].plus(one, reading.value, state.epoch, state.mean_m, monitor.false_alarm)
     count = len(compared)
     return replace(
         state,
@@ -215,6 +215,8 @@ def _seen(state: MonitorState, readings: tuple[Measurement, ...], outage_s: floa
         readings=state.readings + count,
         since=state.since + count,
         last_s=now,
+        gap_s=typical,
+        off_map=0,
     )
 
 
@@ -230,8 +232,10 @@ def _with_factors(epoch: Epoch, state: MonitorState) -> Epoch:
 
 def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
     """A fix that has proved itself: the position is found (again)."""
+    if state.fixed and state.rivals is not None and state.rivals.proved:
+        return state
     if not judging.proven(monitor, state) or state.sigma_m > HYSTERESIS * monitor.converged_sigma_m:
         return state
     proved = None if state.rivals is None else replace(state.rivals, proved=True)
-    found = tuple(mending.named(monitor, state, one) if one.trial else one for one in state.left_out)
+    found = tuple(mending.named(state, one) if one.trial else one for one in state.left_out)
     return replace(state, fixed=True, lost="", attempt=0, rivals=proved, left_out=found)

@@ -19,10 +19,14 @@ NOISE = (1.0, 3.0, 1.0, 10.0)
 DOUBT = 4.0  # times the covariance of an anchor
 
 
+def due(state: MonitorState) -> bool:
+    """Whether the latest anchor is old enough for another."""
+    return not state.anchors or state.readings - state.anchors[-1].readings >= EVERY
+
+
 def anchored(state: MonitorState, cov_m2: FloatArray) -> tuple[Anchor, ...]:
-    """The anchors with the present estimate among them, if the latest is old enough."""
-    if state.epoch is None or (state.anchors and state.readings - state.anchors[-1].readings < EVERY):
-        return state.anchors
+    """The anchors with the present estimate among them."""
+    assert state.epoch is not None
     return (*state.anchors[1 - KEPT :], Anchor(state.readings, state.epoch.time_s, state.mean_m, cov_m2))
 
 

@@ -10,7 +10,7 @@ number is judged as if one reading in ten were so far out, where a normal error 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -55,25 +55,35 @@ class Window:
         Whether there ever was a reading of this kind.
     scale : float
         How many times noisier than told the estimator has found them.
+    bad, loud, alike : Finding or None
+        What `contradiction`, `excess` and `coloured` say of it.
     """
 
     kind: str
     rows: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
     seen: bool = False
     scale: float = 1.0
+    bad: Finding | None = None
+    loud: Finding | None = None
+    alike: Finding | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def plus(self, innovation: Innovation, value: float, epoch: Epoch, centre_m: FloatArray) -> Window:
-        """The window with one more reading."""
+    def plus(
+        self, innovation: Innovation, value: float, epoch: Epoch, centre_m: FloatArray, false_alarm: float
+    ) -> Window:
+        """The window with one more reading, tested."""
         told = (innovation.residual, innovation.variance, innovation.noise, value)
-        row = [[*told, epoch.lat_deg, epoch.lon_deg, centre_m[0], centre_m[1]]]
-        return replace(self, rows=np.concatenate([self.rows[1 - LONGEST :], row]), seen=True, scale=innovation.scale)
+        row = [[*told, epoch.lat_deg, epoch.lon_deg, float(centre_m[0]), float(centre_m[1])]]
+        rows = np.concatenate([self.rows[1 - LONGEST :], row])
+        nis = np.minimum(rows[:, RESIDUAL] ** 2 / rows[:, VARIANCE], CAP)
+        tests = contradiction(nis, false_alarm), excess(nis, false_alarm), coloured(rows, false_alarm)
+        return Window(self.kind, rows, True, innovation.scale, *tests)
 
     def cleared(self) -> Window:
         """Nothing seen yet."""
-        return replace(self, rows=self.rows[:0])
+        return Window(self.kind, self.rows[:0], self.seen, self.scale)
 
     @property
     def nis(self) -> FloatArray:
@@ -113,20 +123,21 @@ def excess(nis: FloatArray, false_alarm: float) -> Finding | None:
     return Finding(len(nis), mean, limit) if mean > limit else None
 
 
-def coloured(window: Window, false_alarm: float) -> Finding | None:
+def coloured(rows: FloatArray, false_alarm: float) -> Finding | None:
     """Whether successive residuals are alike: Ljung and Box's portmanteau over four lags (Biometrika 65, 1978, eq. 3).
 
     The figure is the correlation of neighbours; the limit that of the test, were all correlation in one lag.
     """
-    n = len(window)
+    n = len(rows)
     if n < LONGEST:
         return None
-    z = np.clip(window.rows[:, RESIDUAL] / np.sqrt(window.rows[:, VARIANCE]), -3.0, 3.0)
+    z = rows[:, RESIDUAL] / np.sqrt(rows[:, VARIANCE])
+    z = np.minimum(np.maximum(z, -3.0), 3.0)
     power = float(z @ z)
     if power <= 0.0:
         return None
-    rho = np.array([float(z[lag:] @ z[:-lag]) / power for lag in range(1, LAGS + 1)])
-    q = n * (n + 2) * float(np.sum(rho**2 / (n - np.arange(1, LAGS + 1))))
+    rho = [float(z[lag:] @ z[:-lag]) / power for lag in range(1, LAGS + 1)]
+    q = n * (n + 2) * sum(one**2 / (n - lag) for lag, one in enumerate(rho, 1))
     limit = float(_chi2_quantile(LAGS, false_alarm))
     if q <= limit or rho[0] <= 0.0:
         return None
@@ -155,7 +166,8 @@ def noise_factor(nis: FloatArray, readings: int = 20) -> float:
     """
     if len(nis) < LENGTHS[0]:
         return 1.0
-    return math.sqrt(max(float(np.median(nis[-readings:])) / 0.455, 1.0))
+    latest = np.sort(nis[-readings:])
+    return math.sqrt(max(float(latest[latest.size // 2]) / 0.455, 1.0))
 
 
 @lru_cache(maxsize=512)
