@@ -21,7 +21,8 @@ and moves z as in a Kalman filter, c being the variance of bias + patch in C. Wh
 - b is a particle's own belief that the map is wrong here (a quarry, a wood, a void filled in) or that the reading is an
   outlier. It comes and goes along the track as a two-state Markov chain, so that a run of misfits over one bad patch
   costs the truth little more than the first of them;
-- s is how noisy readings have proved, as against what was told (`filters._noise_scale`);
+- s is how noisy readings have proved, as against what was told (`filters._noise_scale`); q grows likewise where the INS
+  wanders more than told (`filters._walk_scale`);
 - the map as a whole may lie beside its place, by part of a cell and by no more than its told sigma allows on the slopes
   that are met. No reading can tell that from an INS error, so it is added to the covariance that is given out.
 
@@ -45,10 +46,12 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Innovation, Measurement, Posterior, Prior
 from terranav.filters import _noise_scale as noise_scale
+from terranav.filters import _walk_scale as walk_scale
 from terranav.filters._cloud import Cloud, advanced, covered_area, drawn, prior_area, prior_covariance, resampled
 from terranav.filters._maps import one_map_a_kind
 from terranav.ins.error_state import ErrorModel, Transition, check_bias_sigma
 from terranav.kernels import marginalized as kernels
+from terranav.kernels.walk_scale import linearised
 from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
@@ -77,6 +80,7 @@ class MarginalizedState:
     cov: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     unaided: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     scale: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    walk: walk_scale.WalkScale = field(default_factory=lambda: walk_scale.told(adapt=False))
     slope2: FloatArray = field(default_factory=lambda: np.zeros(0))
     met: FloatArray = field(default_factory=lambda: np.zeros(0))
     innovations: tuple[Innovation, ...] = ()
@@ -112,6 +116,8 @@ class Marginalized:
         sigma is 0.
     adapt_noise : bool
         Whether the noise of readings is learned; else it is taken as told.
+    adapt_walk : bool
+        Whether an INS that wanders more than told is noticed and followed.
     bias_sigma : mapping of kind to float
         1-sigma of the error common to all readings of a kind [unit]; by default `Kind.bias_sigma`.
     converged_sigma_m : float or None
@@ -128,10 +134,11 @@ class Marginalized:
     particles: int = 20_000
     least_particles: int = 4_000
     outlier_share: float = 0.05
-    outlier_scale: float = 2.0
+    outlier_scale: float = 3.0
     blur_cells: float = 0.1
     registration_cells: float = 0.29
     adapt_noise: bool = True
+    adapt_walk: bool = True
     bias_sigma: Mapping[str, float] = field(default_factory=dict)
     converged_sigma_m: float | None = None
 
@@ -147,8 +154,9 @@ class Marginalized:
         finite("marginalized outlier_scale", self.outlier_scale, above=0.0)
         finite("marginalized blur_cells", self.blur_cells, minimum=0.0)
         finite("marginalized registration_cells", self.registration_cells, minimum=0.0)
-        if not isinstance(self.adapt_noise, bool):
-            raise ConfigError(f"marginalized adapt_noise is {self.adapt_noise!r}, expected true or false")
+        for key in ("adapt_noise", "adapt_walk"):
+            if not isinstance(getattr(self, key), bool):
+                raise ConfigError(f"marginalized {key} is {getattr(self, key)!r}, expected true or false")
         check_bias_sigma("marginalized", self.bias_sigma)
         if self.converged_sigma_m is not None:
             finite("marginalized converged_sigma_m", self.converged_sigma_m, above=0.0)
@@ -242,7 +250,8 @@ class Marginalized:
         start = noise_scale.told() if self.adapt_noise else noise_scale.certain()
         scale = np.tile(start, (len(self.maps), 1))
         none = np.zeros(len(self.maps))
-        state = replace(state, model=model, scale=scale, slope2=none, met=none, epoch=epoch)
+        walk = walk_scale.told(self.adapt_walk)
+        state = replace(state, model=model, scale=scale, walk=walk, slope2=none, met=none, epoch=epoch)
         return self._filled(state, model, rng)
 
     def _filled(self, state: MarginalizedState, model: ErrorModel, rng: Generator) -> MarginalizedState:
@@ -252,7 +261,8 @@ class Marginalized:
         common[:2, :2] = 0.0
         bad = np.full(len(self.maps), self.outlier_share)
         cloud = drawn(state.prior, common, self._count(prior_area(state.prior)), bad, rng)
-        return replace(state, cloud=cloud, pending=None, mean=cloud.mean, cov=cloud.cov + common, unaided=whole)
+        cov, walk = cloud.cov + common, walk_scale.stopped(state.walk)
+        return replace(state, cloud=cloud, pending=None, mean=cloud.mean, cov=cov, unaided=whole, walk=walk)
 
     def _passed(self, state: MarginalizedState, epoch: Epoch) -> MarginalizedState:
         """The state at the time of an epoch, before its readings; nothing is drawn yet."""
@@ -262,10 +272,13 @@ class Marginalized:
         for chart, probability in zip(self.maps, state.scale):
             patch = model.bias_index(chart.kind) + 1
             passed.q[patch, patch] *= noise_scale.expected(probability)
+        walk = walk_scale.stepped(state.walk, passed, model.inertial)
+        passed.q[: model.inertial, : model.inertial] *= walk.expected
         phi, q = passed.phi, passed.q
         pending = passed if state.pending is None else state.pending.then(passed)
         cov, unaided = phi @ state.cov @ phi.T + q, phi @ state.unaided @ phi.T + q
-        return replace(state, epoch=epoch, pending=pending, mean=phi @ state.mean, cov=cov, unaided=unaided)
+        mean = phi @ state.mean
+        return replace(state, epoch=epoch, pending=pending, mean=mean, cov=cov, unaided=unaided, walk=walk)
 
     def _advanced(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
         """The cloud at an epoch with readings: what is pending drawn, regimes carried on over the ground in between."""
@@ -328,7 +341,29 @@ class Marginalized:
         cloud = replace(cloud, rows=rows, weight=weight, bad=regimes, common=common)
         mean_now, cov_now = kernels.moments(rows, weight)
         cloud = replace(cloud, mean=mean_now, cov=cov_now)
-        return replace(state, cloud=cloud, mean=mean_now, cov=cov_now + common), innovation
+        state = replace(state, cloud=cloud, mean=mean_now, cov=cov_now + common)
+        if self.adapt_walk:
+            plane = linearised(rows, weight, residual, bias)
+            noise = float(white[0] + plane[5])
+            state = replace(state, walk=self._wandered(state, plane, number, noise, reach))
+        return state, innovation
+
+    def _wandered(
+        self, state: MarginalizedState, plane: FloatArray, number: int, noise: float, reach: float
+    ) -> walk_scale.WalkScale:
+        """What a reading says of how much the INS wanders, the map being made a plane (`kernels.walk_scale`)."""
+        cloud, model = state.cloud, state.model
+        known = cloud is not None and model is not None and largest_sigma_m(state.cov[:2, :2]) <= self._cell_m
+        if not known or not 2.0 * plane[5] < noise:  # what the plane leaves is less than the rest, and no NaN
+            return walk_scale.stopped(state.walk)
+        if state.walk.idle:
+            return walk_scale.started(state.walk, state.mean, state.cov)
+        assert cloud is not None and model is not None  # noqa: PT018
+        bias, row = model.bias_index(self.maps[number].kind), np.zeros(model.size)
+        row[:2], row[bias : bias + 2] = plane[3:5], 1.0
+        value = float(plane[2] + plane[3:5] @ plane[:2])
+        bad = float(kernels.mean_known(cloud.weight, cloud.weight, np.ascontiguousarray(cloud.bad[:, number])))
+        return walk_scale.weighed(state.walk, row, value, noise, (self.outlier_share, reach), use=bad < 0.5)
 
     def _renewed(self, state: MarginalizedState, rng: Generator) -> MarginalizedState:
         """The state, its cloud resampled where too few particles carry the weight."""
