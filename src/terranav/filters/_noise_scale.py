@@ -1,8 +1,8 @@
 """How noisy readings really are: a discrete distribution over factors of the told variance.
 
-The factor is a hidden Markov chain over octaves, which forgets slowly. A reading's likelihood under each is the one
-that its prediction gives it, the spread of the position included (Mehra, IEEE Trans. Automatic Control 17, 1972, calls
-it the Bayesian approach); so a cloud over kilometres, which fits nothing well, teaches nothing about the noise.
+The factor is a hidden Markov chain over octaves. A reading's likelihood under each is the one that its prediction gives
+it, the spread of the position included (Mehra, IEEE Trans. Automatic Control 17, 1972, calls it the Bayesian
+approach); so a cloud over kilometres, which fits nothing well, teaches nothing about the noise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 SCALES = 2.0 ** np.arange(-3.0, 5.0)  # of the variance: from 0.35 to 4 times the told sigma
 OCTAVES_SIGMA = 1.0  # told variances are trusted to about a factor of two
-FORGET = 0.01  # chance a reading that the noise is another from here on
+SWITCH = 0.005  # chance a reading of a step to either side
 
 
 def told() -> FloatArray:
@@ -33,23 +33,18 @@ def certain() -> FloatArray:
 
 def learned(probability: FloatArray, likelihood: FloatArray) -> FloatArray:
     """The probabilities after one more reading, whose likelihood under each of SCALES is given."""
-    return weighed_chain(probability, likelihood, told(), FORGET)
+    moved = (1.0 - 2.0 * SWITCH) * probability
+    moved[1:] += SWITCH * probability[:-1]
+    moved[:-1] += SWITCH * probability[1:]
+    moved[[0, -1]] += SWITCH * probability[[0, -1]]
+    return bayes(moved, likelihood)
 
 
-def weighed_chain(probability: FloatArray, likelihood: FloatArray, start: FloatArray, forget: float) -> FloatArray:
-    """A hidden Markov chain after one more step, which forgets with this probability, and one more reading.
-
-    Parameters
-    ----------
-    probability, likelihood : (s,)
-    start : (s,)
-        What it believes when it has forgotten.
-    forget : float
-    """
-    moved = (1.0 - forget) * probability + forget * start
-    after = moved * (likelihood + 1e-12 * likelihood.max())
+def bayes(probability: FloatArray, likelihood: FloatArray) -> FloatArray:
+    """Bayes' rule over a few hypotheses (s,), none of which a single reading rules out for good."""
+    after = probability * (likelihood + 1e-12 * likelihood.max())
     total = float(after.sum())
-    return np.asarray(after / total) if total > 0.0 else moved
+    return np.asarray(after / total) if total > 0.0 else probability
 
 
 def expected(probability: FloatArray) -> float:

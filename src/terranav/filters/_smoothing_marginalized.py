@@ -17,8 +17,8 @@ Means and covariances are those of these normal densities, averaged over the tra
 two readings the error is bridged in closed form. For linear readings all this is the Rauch-Tung-Striebel smoother.
 
 S is singular where a state is known exactly and does not move (a velocity or a map without error). Its inverse is taken
-on its support: eigenvalues below 1e-10 of those of the covariance scaled to unit variances are rounding, since K gives
-every state that has a variance one that is at least h^2 = 0.02 of it or the filter's own conditional variance.
+on its support: eigenvalues below 1e-10 of the covariance scaled to unit variances are rounding, since K gives every
+direction in which the cloud has a variance h^2 of it, and h is above 1e-3 for any cloud narrower than 500 cells.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _mixture(cloud: Cloud, estimator: Marginalized, rng: Generator) -> Mixture:
     if len(rows) > MOST_ROWS:
         rows, weight = rows[_systematic(weight, MOST_ROWS, rng)], np.full(MOST_ROWS, 1.0 / MOST_ROWS)
     cell_m = min(chart.cell_m for chart in estimator.maps)
-    d, count = KERNEL_DIMENSIONS, 1.0 / float(weight @ weight)
+    d, count = KERNEL_DIMENSIONS, 1.0 / float(np.sum(weight**2))
     width = (4.0 / (count * (d + 2.0))) ** (1.0 / (d + 4.0))
     width = min(width, KERNEL_CELLS * cell_m / max(largest_sigma_m(cov[POSITION, POSITION]), 1e-9), 1.0)
     centres = mean + math.sqrt(1.0 - width**2) * (rows - mean)
@@ -167,10 +167,9 @@ def _drawn(mixture: Mixture, rng: Generator) -> FloatArray:
 def _linked(mixture: Mixture, step: Transition, later: FloatArray, rng: Generator) -> Link | None:
     """The state before a step given the trajectories after it; None where those cannot have come from here."""
     gain, whiten = _gain(mixture.cov, step)
-    predicted = mixture.centres @ step.phi.T
     m, d = later.shape
     chosen, mean, passed = np.empty(m, np.int64), np.empty((m, d)), np.empty(len(mixture.weight))
-    ahead = np.ascontiguousarray((predicted @ whiten).T)
+    ahead = np.einsum("ai,ki->ak", (step.phi.T @ whiten).T, mixture.centres)  # not BLAS, whose bits go with its threads
     nearest = trace_back(mixture.weight, mixture.centres, ahead, later @ whiten, rng.random(m), chosen, mean, passed)
     if np.median(nearest) > BREAK:
         return None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from terranav.filters._noise_scale import weighed_chain
+from terranav.filters._noise_scale import bayes
 from terranav.ins.error_state import Transition
 from terranav.kernels import walk_scale as kernels
 
@@ -68,7 +68,8 @@ def weighed(
     """The bank and the distribution after a reading value = row x + noise; `outlier` as in the kernel."""
     mean, cov, likelihood = np.empty_like(bank.mean), np.empty_like(bank.cov), np.empty(len(bank.mean))
     kernels.corrected(bank.mean, bank.cov, row, value, noise, np.array(outlier), use, mean, cov, likelihood)
-    return WalkScale(weighed_chain(bank.probability, likelihood, START, FORGET), mean, cov)
+    moved = (1.0 - FORGET) * bank.probability + FORGET * START
+    return WalkScale(bayes(moved, likelihood), mean, cov)
 
 
 def started(bank: WalkScale, mean: FloatArray, cov: FloatArray) -> WalkScale:
