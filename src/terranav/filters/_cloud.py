@@ -79,7 +79,7 @@ def advanced(cloud: Cloud, passed: Transition, rng: Generator) -> Cloud:
     """The cloud after a step: positions drawn, z conditioned on them. Its `mean` and `cov` stay those of before."""
     grown = passed.phi @ cloud.common @ passed.phi.T + passed.q
     values, vectors = np.linalg.eigh(grown[:2, :2])
-    solid = values > max(1e-12 * values[1], 0.0)  # neither, where no time passes or nothing makes the position drift
+    solid = values > max(1e-12 * values[1], 0.0)  # none where no time passes, or nothing drifts
     root = vectors * np.sqrt(np.where(solid, values, 0.0))
     inverse = (vectors * np.where(solid, 1.0 / np.where(solid, values, 1.0), 0.0)) @ vectors.T
     carry = grown[:, :2] @ inverse
