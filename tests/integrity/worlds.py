@@ -78,7 +78,7 @@ def flight(
     walk scales the INS's walk, jump is (reading, north, east), north_m moves all of it.
     """
     rng = np.random.default_rng(seed)
-    time_s = np.arange(readings) * rate_s
+    time_s = np.arange(readings, dtype=np.float64) * rate_s
     way = SPEED_MPS * min(rate_s, 1.0) * np.arange(readings)
     half = 0.5 * way[-1]
     north = -0.5 * half + np.minimum(way, half) + north_m
@@ -106,9 +106,7 @@ def flight(
     epochs = tuple(
         Epoch(
             float(t), float(ins_lat[i]), float(ins_lon[i]), 1500.0, (SPEED_MPS, 20.0, 0.0), None,
-            tuple(
-                Measurement(kind, float(value[i]), SIGMA[kind]) for kind, value in columns.items() if np.isfinite(value[i])
-            ),
+            tuple(Measurement(kind, float(at[i]), SIGMA[kind]) for kind, at in columns.items() if np.isfinite(at[i])),
         )
         for i, t in enumerate(time_s)
     )  # fmt: skip

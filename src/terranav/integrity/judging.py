@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 
 SHARE = 0.5  # of the risk is for the posterior
 TOLD, FAR_OFF = 1.5, 2.5  # sigmas that look so many times too small are said; and degrade the fix
-ALARM, ALARM_LENGTHS = 1e-4, (1, 3, 5)  # probability, readings: withholds a fix until the next agrees
+ALARM, ALARM_LENGTHS = 1e-4, (1, 3, 5)  # probability, readings: withholds a fix until the next agrees; degrades it
+UNEASY = 3.0  # mean NIS of three readings
 CLIP = 16.0
 
 
@@ -55,7 +57,7 @@ def verdict(monitor: Monitored, state: MonitorState) -> Verdict:
     if monitor.alert_limit_m is not None and level > monitor.alert_limit_m:
         limit = words.metres(monitor.alert_limit_m)
         withheld = [f"protection level {words.metres(level)} beyond the alert limit of {limit}"]
-    withheld += _alarms(state)
+    withheld += _alarms(state, ALARM_LENGTHS[:1])
     return Verdict(Status.CONVERGED, mean, level, not withheld, (*withheld, *notes))
 
 
@@ -75,7 +77,8 @@ def _unproven(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
     standing, limit = state.standing, HYSTERESIS * monitor.converged_sigma_m
     if standing is None or state.sigma_m > limit:
         wanted = monitor.converged_sigma_m
-        return (f"not converged: sigma {words.metres(state.sigma_m)} (limit {words.metres(wanted)})",)
+        after = f" after {words.lasting(state.silence_s)} without a reading" if state.silence_s else ""
+        return (f"not converged: sigma {words.metres(state.sigma_m)} (limit {words.metres(wanted)}){after}",)
     if standing.readings < monitor.probation:
         return (f"on probation: {standing.readings} of {monitor.probation} readings since the fix",)
     if standing.reach_m > 0.0:
@@ -95,6 +98,7 @@ def _complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
             found.append(words.alike(window.kind, window.alike))
         if (factor := state.factor(window.kind) * window.scale) >= FAR_OFF:
             found.append(words.noisy(window.kind, factor))
+    found += _alarms(state, ALARM_LENGTHS[1:])
     if state.tail.far > FAR:
         found.append(
             f"{100.0 * state.tail.far:.2g} % of the posterior lies apart, up to {words.metres(state.tail.reach_m)}"
@@ -109,13 +113,18 @@ def _complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _alarms(state: MonitorState) -> list[str]:
+def uneasy(state: MonitorState) -> bool:
+    """Whether the latest readings fit badly enough to look closer."""
+    return any(window.loud or window.mean_nis(3) > UNEASY for window in state.windows)
+
+
+def _alarms(state: MonitorState, lengths: Sequence[int]) -> list[str]:
     """Kinds whose very latest readings are so far off that the fix waits for the next."""
     found = []
     for window in state.windows:
         if window.kind in state.silent:
             continue
-        for length in ALARM_LENGTHS:
+        for length in lengths:
             mean = window.mean_nis(length)
             if len(window) >= length and mean > nis_limit(length, ALARM):
                 last = "reading is" if length == 1 else f"{length} readings are"
@@ -132,8 +141,13 @@ def _notes(state: MonitorState) -> tuple[str, ...]:
 
 
 def _left_out(state: MonitorState) -> tuple[str, ...]:
-    """Kinds that move nothing, and why."""
-    return tuple(f"{one.kind} left out: {one.reason}" for one in state.left_out)
+    """Kinds that move nothing, and why: by their latest readings where these contradict the map, too."""
+    windows = {window.kind: window for window in state.windows}
+    return tuple(
+        f"{one.kind} left out: {words.contradicts(one.kind, found) if found and not one.stuck else one.reason}"
+        for one in state.left_out
+        for found in [windows[one.kind].bad or windows[one.kind].loud]
+    )
 
 
 def _mean_nis(state: MonitorState) -> float:

@@ -172,7 +172,7 @@ class Monitored:
             cell = min(chart.cell_m for chart in self.maps)
             reach = min(RIVALS_SIGMA * state.spread_m, max(FARTHEST_M, FARTHEST_CELLS * cell))
             field = rivals.Rivals.within(reach, 0.5 * cell)
-        elif state.rivals.proved and state.readings % STRIDE:
+        elif state.rivals.proved and state.readings % STRIDE and not judging.uneasy(state):
             return state
         else:
             field = state.rivals
@@ -200,9 +200,9 @@ def _seen(monitor: Monitored, state: MonitorState, readings: tuple[Measurement, 
         return replace(state, off_map=state.off_map + 1) if pairs else state
     now, typical = state.epoch.time_s, state.gap_s
     gap = now - state.last_s
-    windows = state.windows
+    windows, silence = state.windows, state.silence_s
     if gap > max(monitor.outage_s, 10.0 * typical if math.isfinite(typical) else 0.0):
-        windows = tuple(window.cleared() for window in windows)
+        windows, silence = tuple(window.cleared() for window in windows), gap
     if math.isfinite(gap) and gap > 0.0:
         typical = typical + GAP_MEMORY * (gap - typical) if math.isfinite(typical) else gap
     by_kind = {window.kind: window for window in windows}
@@ -216,6 +216,7 @@ def _seen(monitor: Monitored, state: MonitorState, readings: tuple[Measurement, 
         since=state.since + count,
         last_s=now,
         gap_s=typical,
+        silence_s=silence,
         off_map=0,
     )
 
@@ -232,10 +233,10 @@ def _with_factors(epoch: Epoch, state: MonitorState) -> Epoch:
 
 def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
     """A fix that has proved itself: the position is found (again)."""
-    if state.fixed and state.rivals is not None and state.rivals.proved:
+    if state.fixed and state.silence_s == 0.0 and state.rivals is not None and state.rivals.proved:
         return state
     if not judging.proven(monitor, state) or state.sigma_m > HYSTERESIS * monitor.converged_sigma_m:
         return state
     proved = None if state.rivals is None else replace(state.rivals, proved=True)
     found = tuple(mending.named(state, one) if one.trial else one for one in state.left_out)
-    return replace(state, fixed=True, lost="", attempt=0, rivals=proved, left_out=found)
+    return replace(state, fixed=True, lost="", attempt=0, rivals=proved, left_out=found, silence_s=0.0)

@@ -86,6 +86,8 @@ class MonitorState:
         Time of the latest [s].
     gap_s : float
         Typical time between two of them [s].
+    silence_s : float
+        Length of the latest outage, until the position is found again; else 0 [s].
     off_map : int
         How many epochs in a row had readings of which the map says nothing.
     mean_m, sigma_m : (2,), float
@@ -121,6 +123,7 @@ class MonitorState:
     since: int = 0
     last_s: float = math.nan
     gap_s: float = math.nan
+    silence_s: float = 0.0
     off_map: int = 0
     mean_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     sigma_m: float = math.inf
