@@ -34,6 +34,7 @@ LINEAR: dict[str, Any] = {
     "blur_cells": 0.0,
     "registration_cells": 0.0,
     "adapt_noise": False,
+    "adapt_walk": False,
     "least_particles": 8000,
 }
 
