@@ -177,14 +177,15 @@ class Marginalized:
             state, innovation = self._updated(state, epoch, chart, reading)
             innovations.append(innovation)
             state = self._renewed(state, rng)
-        nis = [one.nis for one in innovations if one.known > 0.5]
+        compared = [one for one in innovations if one.known > 0.5]
+        nis = [one.nis for one in compared if one.used]
         judgement = judge(
             self._judge,
             state.judgement,
             largest_sigma_m(state.cov[:2, :2]),
             nis=sum(nis) / len(nis) if nis else math.nan,
             readings=len(nis),
-            off_map=not nis if innovations else None,
+            off_map=not compared if innovations else None,
         )
         return replace(state, innovations=tuple(innovations), judgement=judgement)
 
