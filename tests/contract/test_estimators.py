@@ -29,6 +29,9 @@ DRIFT_MPS = np.array([0.2, 0.3])
 SIGMA_M = 3.0
 EPOCHS = 160
 
+#: a difference in the last bit of single precision grows to the size of a Monte Carlo error
+CHAOTIC = frozenset({"marginalized"})
+
 by_name = pytest.mark.parametrize("name", estimators())
 aided = pytest.mark.parametrize("name", [name for name in estimators() if name != "ins"])
 
@@ -293,15 +296,52 @@ def assert_agree(first: Sequence[Estimate], second: Sequence[Estimate]) -> None:
         np.testing.assert_allclose(other.cov_m2, one.cov_m2, rtol=0.02, atol=0.02 * sigma.max() ** 2)
 
 
-@by_name
-def test_a_datum_common_to_map_and_readings_does_not_matter(name: str) -> None:
-    epochs = flight(rough_map())
-    raised = replace(rough_map(), values=rough_map().values + 128.0)
+def raised(chart: Map, epochs: Sequence[Epoch], by: float = 128.0) -> tuple[Map, list[Epoch]]:
+    """A map and its readings over another datum."""
     higher = [
-        replace(epoch, measurements=tuple(replace(m, value=m.value + 128.0) for m in epoch.measurements))
+        replace(epoch, measurements=tuple(replace(m, value=m.value + by) for m in epoch.measurements))
         for epoch in epochs
     ]
-    assert_agree(flown(name, rough_map(), epochs), flown(name, raised, higher))
+    return replace(chart, values=chart.values + by), higher
+
+
+@by_name
+def test_a_datum_common_to_map_and_readings_does_not_matter(name: str) -> None:
+    """Heights in whole 64ths of a metre, so that single precision holds the raised map to the bit."""
+    chart = replace(rough_map(), values=np.round(rough_map().values * 64.0) / 64.0)
+    epochs = flight(chart)
+    assert_agree(flown(name, chart, epochs), flown(name, *raised(chart, epochs)))
+
+
+@pytest.mark.parametrize("name", [name for name in estimators() if name not in CHAOTIC])
+def test_a_datum_that_rounds_the_map_anew_does_not_matter(name: str) -> None:
+    epochs = flight(rough_map())
+    assert_agree(flown(name, rough_map(), epochs), flown(name, *raised(rough_map(), epochs)))
+
+
+@pytest.mark.parametrize("name", sorted(CHAOTIC))
+def test_a_datum_that_rounds_the_map_anew_does_not_matter_on_average(name: str) -> None:
+    """Which particle is copied hangs on sums of weights, the copies part from there, and an eighth of a millimetre of
+    rounding in the map becomes another run of the same method. So the law holds for the distribution of its runs: the
+    mean difference over twelve seeds is zero within its standard error (5 of them: twelve means are looked at, each
+    with an error that is itself estimated from twelve runs) and below half a sigma, where runs of one method differ by
+    0.2 to 0.6 of it; the claimed variance is the same on average, within 10 %.
+    """
+    epochs = flight(rough_map())
+    chart, higher = raised(rough_map(), epochs)
+    at, seeds = [10, 25, 40, 80, 120, EPOCHS - 1], range(12)
+    miss, ratio = np.empty((len(seeds), len(at), 2)), np.empty((len(seeds), len(at)))
+    for seed in seeds:
+        first = list(stream(built(name, rough_map()), PRIOR, epochs, np.random.default_rng(seed)))
+        second = list(stream(built(name, chart), PRIOR, higher, np.random.default_rng(seed)))
+        for i, k in enumerate(at):
+            sigma = np.sqrt(np.diag(first[k].cov_m2))
+            miss[seed, i] = (second[k].ins_error_m - first[k].ins_error_m) / sigma
+            ratio[seed, i] = 0.5 * np.log(np.linalg.det(second[k].cov_m2) / np.linalg.det(first[k].cov_m2))
+    standard = miss.std(axis=0, ddof=1) / np.sqrt(len(seeds))
+    assert (np.abs(miss.mean(axis=0)) <= 5.0 * standard).all()
+    assert np.abs(miss.mean(axis=0)).max() < 0.5
+    assert np.abs(ratio.mean()) < 0.1
 
 
 @by_name
