@@ -50,8 +50,8 @@ KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
         Kind("terrain", "m", "terrain_m", "terrain_sigma_m", 1, (-450.0, 8900.0), 5.0, 15.0, 0.05),
-        Kind("bathymetry", "m", "depth_m", "depth_sigma_m", -1, (-11100.0, 8900.0), 10.0, 5.0, 0.02),
-        Kind("gravity", "mGal", "gravity_mgal", "gravity_sigma_mgal", 1, (-1000.0, 1000.0), 2.0, 20.0, 0.01),
+        Kind("bathymetry", "m", "depth_m", "depth_sigma_m", -1, (-11100.0, 8900.0), 10.0, 5.0, 0.05),
+        Kind("gravity", "mGal", "gravity_mgal", "gravity_sigma_mgal", 1, (-1000.0, 1000.0), 2.0, 20.0, 0.02),
         Kind("magnetic", "nT", "magnetic_nt", "magnetic_sigma_nt", 1, (-70000.0, 70000.0), 20.0, 50.0, 0.3),
     )
 }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-SCALES = 2.0 ** np.arange(-3.0, 5.0)  # of the variance: from 0.35 to 4 times the told sigma
+SCALES = 2.0 ** np.arange(-2.0, 5.0)  # of the variance: from half the told sigma to 4 times
 OCTAVES_SIGMA = 1.0  # told variances are trusted to about a factor of two
 SWITCH = 0.005  # chance a reading of a step to either side
 
