@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing.synchronize import Event
 from typing import TypeVar
 
 from terranav.core.errors import StateError
@@ -47,9 +48,11 @@ class Processes:
         if not todo:
             return
         context = multiprocessing.get_context("spawn")  # forked threads and locks of a parent would be half there
-        with _environment(), ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent) as pool:
-            futures = {pool.submit(work, item): item for item in todo}
+        stop = context.Event()
+        with _environment():
+            pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(stop,))
             try:
+                futures = {pool.submit(work, item): item for item in todo}
                 for future in as_completed(futures):
                     yield futures[future], future.result()
             except BrokenProcessPool:
@@ -57,8 +60,11 @@ class Processes:
                     "a worker process ended before it was done (killed, or out of memory); the same command goes on "
                     "with what is left"
                 ) from None
+            except BaseException:
+                stop.set()  # Ctrl-C, or nobody reads on: what is under way is not waited for
+                raise
             finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+                pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
@@ -76,17 +82,18 @@ def _environment() -> Iterator[None]:
                 os.environ[key] = value
 
 
-def _end_with_parent() -> None:
-    """Begin a worker: a thread waits for the parent's end, even by kill -9, and ends this process at once.
+def _begin(stop: Event) -> None:
+    """Begin a worker: threads wait for the parent's end, even by kill -9, and for `stop`, and end this process at once.
 
     A Ctrl-C, which a terminal sends to all processes, is the parent's business.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_watch, args=(parent.join,), daemon=True).start()
+    assert parent is not None
+    for ended in (parent.join, stop.wait):
+        threading.Thread(target=_watch, args=(ended,), daemon=True).start()
 
 
-def _watch(ended: Callable[[], None]) -> None:
+def _watch(ended: Callable[[], object]) -> None:
     ended()
     os._exit(1)

@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,3 +64,9 @@ def report(cases: Sequence[CaseRuns]) -> Report:
 
 def study(run_one: Any = run, **changes: Any) -> Study:
     return Study("draws", "What is drawn?", plan, run_one, report, **{"runs": 6, "chunk": 2, **changes})
+
+
+def nap(folder: Path, seconds: int) -> int:
+    time.sleep(seconds)
+    (folder / f"{seconds}").touch()
+    return seconds

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,13 @@ def test_failed_runs_are_counted_and_the_rest_goes_on(tmp_path: Path) -> None:
 def test_a_killed_worker_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(StateError, match="a worker process ended before it was done"):
         run_study(prepared(fakes.run_killed), tmp_path, executor=Processes(1))
+
+
+def test_who_stops_reading_does_not_wait_for_what_is_under_way(tmp_path: Path) -> None:
+    results = Processes(2).unordered(partial(fakes.nap, tmp_path), [0, 60, 61, 62])
+    assert next(results) == (0, 0)
+    results.close()  # type: ignore[attr-defined]
+    assert [path.name for path in tmp_path.iterdir()] == ["0"]
 
 
 def test_only_some_cases() -> None:

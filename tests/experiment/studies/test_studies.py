@@ -118,7 +118,7 @@ def test_pieces_of_the_cruise_that_are_unfit_are_named(shared_data: Path) -> Non
     assert len(cases) >= 5
     assert any("ship day 1: left out, 65 rows, expected at least 700 of 1440" in note for note in notes)
     assert any("map covers" in note for note in notes)
-    assert 0.0 < real_cruise.bound_m(cases[0], "depth and gravity") <= real_cruise.bound_m(cases[0], "depth") * 1.001
+    assert 0.0 < real_cruise.bound_m(cases[0], "both") <= real_cruise.bound_m(cases[0], "depth") * 1.001
     assert math.isclose(math.hypot(*[real_cruise.INS.velocity_sigma_mps] * 2), 1852.0 / 3600.0)
 
 

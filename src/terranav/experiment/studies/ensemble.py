@@ -70,7 +70,7 @@ def of_runs(cases: Sequence[CaseRuns], name: str, statistic: Any) -> Interval:
     return over_runs([one[name] for one in cases], statistic)
 
 
-HEADS = ("DRMS, median [m]", "95th percentile [m]", "in 95 % [%]", "NEES per axis", "lost", "unsaid")
+HEADS = ("DRMS, median [m]", "95th pct. [m]", "in 95 % [%]", "NEES per axis", "lost", "unsaid")
 
 
 def row(cases: Sequence[CaseRuns], label: str) -> tuple[tuple[str, ...], dict[str, Any]]:

@@ -42,7 +42,7 @@ INS = InsGrade(
 )
 DAY_S = 86400.0
 FEWEST_ROWS, LONGEST_GAP_S, LEAST_COVER = 700, 1800.0, 0.95
-SETS = {"depth": ("bathymetry",), "gravity": ("gravity",), "depth and gravity": ("bathymetry", "gravity")}
+SETS = {"depth": ("bathymetry",), "gravity": ("gravity",), "both": ("bathymetry", "gravity")}
 
 
 @dataclass(frozen=True)
