@@ -21,14 +21,21 @@ if TYPE_CHECKING:
 SHARE = 0.5  # of the risk is for the posterior
 TOLD, FAR_OFF = 1.5, 2.5  # sigmas that look so many times too small are said; and degrade the fix
 ALARM, ALARM_LENGTHS = 1e-4, (1, 3, 5)  # probability, readings: withholds a fix until the next agrees; degrades it
+LOCAL = 3.0  # rivals within so many protection levels of the posterior widen it; farther ones withhold the fix
 UNEASY = 3.0  # mean NIS of three readings
 CLIP = 16.0
 
 
 def proven(monitor: Monitored, state: MonitorState) -> bool:
-    """Whether the fix has served its probation and has no rival left."""
+    """Whether the fix has served its probation and has no rival left but in its surroundings."""
     standing = state.standing
-    return standing is not None and standing.readings >= monitor.probation and standing.reach_m == 0.0
+    return standing is not None and standing.readings >= monitor.probation and _local(monitor, state)
+
+
+def _local(monitor: Monitored, state: MonitorState) -> bool:
+    """Whether the rivals that are left are so near that a protection level that holds them, too, says it all."""
+    assert state.standing is not None
+    return state.standing.reach_m <= LOCAL * protection(monitor, state)
 
 
 def protection(monitor: Monitored, state: MonitorState) -> float:
@@ -81,7 +88,7 @@ def _unproven(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
         return (f"not converged: sigma {words.metres(state.sigma_m)} (limit {words.metres(wanted)}){after}",)
     if standing.readings < monitor.probation:
         return (f"on probation: {standing.readings} of {monitor.probation} readings since the fix",)
-    if standing.reach_m > 0.0:
+    if not _local(monitor, state):
         return (words.elsewhere(-standing.best_m, standing.share),)
     return ()
 

@@ -11,7 +11,7 @@ from numpy.random import Generator
 from terranav.core.earth import shift
 from terranav.core.judgement import largest_sigma_m
 from terranav.core.records import Prior
-from terranav.integrity import recovery, rivals, words
+from terranav.integrity import judging, recovery, rivals, words
 from terranav.integrity.protection import Tail
 from terranav.integrity.state import FloatArray, LeftOut, MonitorState
 from terranav.integrity.windows import (
@@ -238,7 +238,7 @@ def named(state: MonitorState, one: LeftOut) -> LeftOut:
 
 def _taken_in(monitor: Monitored, state: MonitorState) -> MonitorState:
     """A kind that agrees again for long, while the others hold the position, counts again."""
-    if state.lost or not state.left_out or state.standing is None or state.standing.reach_m > 0.0:
+    if state.lost or not state.left_out or not judging.proven(monitor, state):
         return state
     agree = {
         one.kind

@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 SIDE = 71  # of the lattice, in places
 CERTAIN = 14.0  # the probability of a rival sinks to exp(-14) of the risk and no further, so that it can come back
 FADING = 0.97  # memory of what is recent: 33 readings
+FITS = -4.0  # a rival with a better recent log ratio fits now, whatever it lost before
 NEAR = 3.0  # rivals within so many spacings belong to the estimate's own surroundings
 RANKED = 8  # one rival in so many is enough to rank the estimate among them
 
@@ -168,8 +169,8 @@ def standing(rivals: Rivals, budget: float, near_m: float) -> Standing:
     """How the rivals stand; those nearer than `near_m` or three spacings are no rivals.
 
     What a rival lost while it was not yet in its place by the slope would refute it for good. So until the estimate has
-    proved itself, its latest readings count alone where they speak better of it; after that all count, and flat land
-    does not make a proven fix doubtful.
+    proved itself, the latest readings count alone for a rival that they fit; after that all count, and flat land does
+    not make a proven fix doubtful.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def standing(rivals: Rivals, budget: float, near_m: float) -> Standing:
     odds = rivals.odds
     if not rivals.proved:
         recent = np.sum([evidence.recent for _, evidence in rivals.evidence], axis=0) if rivals.evidence else 0.0
-        odds = np.maximum(odds, np.minimum(recent, 0.0))
+        odds = np.where(recent > FITS, np.maximum(odds, np.minimum(recent, 0.0)), odds)
     reach, share, best = kernels.reach_of_rivals(distance, order, odds, budget, near)
     return Standing(
         reach * rivals.spacing_m,
