@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
+from scipy.stats import cauchy, norm
 
 from terranav.core.earth import offset_of, shift
 from terranav.core.errors import ConfigError, StateError
@@ -253,6 +254,7 @@ class TestWithoutReadings:
         ):
             np.testing.assert_allclose(state.mean, mean, rtol=1e-9, atol=1e-6)
             np.testing.assert_allclose(state.cov, cov, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(state.unaided, cov, rtol=1e-9, atol=1e-9)
             told = filter_.estimate(state)
             np.testing.assert_allclose(told.cov_m2, cov[:2, :2], rtol=1e-9)
             assert told.status is Status.SEARCHING
@@ -296,6 +298,20 @@ class TestWithoutReadings:
         np.testing.assert_allclose(spread + unused.cloud.common, cov, rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(unused.cov, cov, rtol=1e-9, atol=1e-9)
 
+    def test_a_gap_after_readings_moves_the_posterior_with_the_velocity_found(self, hills: Map) -> None:
+        flown = track([hills], 1, count=100)
+        filter_, prior = Marginalized((hills,), INS, **TOLD), Prior.from_ins(INS)
+        *_, state = states(filter_, prior, flown.epochs, np.random.default_rng(1))
+        later = replace(flown.epochs[-1], time_s=flown.epochs[-1].time_s + 600.0, measurements=())
+        after = filter_.step(state, later, np.random.default_rng(1))
+        assert np.hypot(*(after.mean[:2] - state.mean[:2])) > 60.0
+        np.testing.assert_allclose(after.mean[:2], state.mean[:2] + 600.0 * state.mean[2:4], rtol=1e-9)
+        shown = filter_.posterior(after)
+        mean = [shown.weight @ shown.north_m, shown.weight @ shown.east_m]
+        np.testing.assert_allclose(mean, after.mean[:2], atol=6.0)  # resampling keeps it in expectation
+        *_, (_, cov) = kalman(filter_, silent([*flown.epochs, later]), prior)
+        np.testing.assert_allclose(after.unaided, cov, rtol=1e-9, atol=1e-9)
+
     def test_no_time_changes_nothing(self, hills: Map) -> None:
         flown = track([hills], 1, count=20)
         filter_ = Marginalized((hills,), INS)
@@ -306,6 +322,45 @@ class TestWithoutReadings:
         assert again.innovations == ()
         off = replace(flown.epochs[-1], measurements=(Measurement("magnetic", 1.0, 1.0),))
         np.testing.assert_array_equal(filter_.step(state, off, np.random.default_rng(2)).mean, state.mean)
+
+
+@pytest.mark.parametrize("off", [0.0, 12.0, 35.0, 50.0, 70.0, 200.0])
+def test_a_reading_is_good_or_bad_and_the_bias_has_the_moments_of_both(off: float) -> None:
+    """Over a level map there is nothing but the bias and the patch: their mixture of two normal densities is exact."""
+    chart = plane_map(0.0, 0.0, cells=65, cell_m=64.0, sigma=3.0)
+    filter_ = Marginalized((chart,), INS, outlier_share=0.2, **TOLD)
+    told = Epoch(0.0, 0.0, 0.0, 2000.0, measurements=(Measurement("terrain", 100.0 + off, SIGMA),))
+    generator = np.random.default_rng(1)
+    state = filter_.step(filter_.init(Prior.from_ins(INS), generator), told, generator)
+    bias, patch = KINDS["terrain"].bias_sigma ** 2, chart.sigma**2
+    total, reach = bias + patch + SIGMA**2, filter_.outlier_scale * math.hypot(SIGMA, chart.sigma)
+    near = 0.8 * norm.pdf(off, scale=math.sqrt(total))
+    good = near / (near + 0.2 * cauchy.pdf(off, scale=reach))
+    for index, variance in ((4, bias), (5, patch)):
+        moved = variance / total * off
+        assert state.mean[index] == pytest.approx(good * moved, abs=1e-6)
+        spread = variance - good * variance**2 / total + good * (1.0 - good) * moved**2
+        assert state.cov[index, index] == pytest.approx(spread, rel=1e-6)
+
+
+def test_a_coarse_cloud_sees_the_terrain_as_coarsely_as_it_can(plane: Map) -> None:
+    """On a plane a particle that stands for a square of ground sees a reading with the heights of that square."""
+    coarse = InsGrade(3000.0, 0.0, 0.0)
+    prior = Prior.from_ins(coarse)
+    filter_ = Marginalized((plane,), coarse, particles=1000, least_particles=1000, **LINEAR)
+    epoch = Epoch(0.0, 0.0, 0.0, 2000.0, measurements=(Measurement("terrain", 100.0, SIGMA),))
+    slope = np.array([0.25, -0.125])
+    along, bias = slope / np.linalg.norm(slope), KINDS["terrain"].bias_sigma ** 2 + plane.sigma**2
+    ground = prior_area(prior) / 1000 / 12.0  # variance of a place within the square [m^2]
+    assert ground * slope @ slope > 60.0 * SIGMA**2
+    for_readings = (bias + SIGMA**2) / (slope @ slope) + ground
+    expected = 1.0 / (1.0 / 3000.0**2 + 1.0 / for_readings)
+    found = []
+    for seed in range(30):
+        generator = np.random.default_rng(seed)
+        state = filter_.step(filter_.init(prior, generator), epoch, generator)
+        found.append(along @ state.cov[:2, :2] @ along)
+    assert np.mean(found) == pytest.approx(expected, rel=0.15)
 
 
 @pytest.mark.parametrize(("particles", "tolerance"), [(4000, 0.025), (32_000, 0.009)])
@@ -676,6 +731,7 @@ class TestCloud:
         ("blur_cells", -0.1),
         ("registration_cells", math.nan),
         ("adapt_noise", 1),
+        ("adapt_walk", "yes"),
         ("bias_sigma", {"terrain": -1.0}),
         ("bias_sigma", {"terain": 1.0}),
         ("converged_sigma_m", 0.0),
