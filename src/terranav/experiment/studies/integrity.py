@@ -2,7 +2,7 @@
 
 Flights of 150 readings, one a second, over three kinds of ground in a world that is what the navigator assumes: map
 error correlated along the track, a bias of the barometer, an INS on position level. 'flat' teaches nothing: no fix may
-be offered. 'self-similar' is one tile of rough ground repeated every 800 m, with as little beside it as the altimeter's
+be offered. 'self-similar' is one tile of rough ground repeated every 500 m, with as little beside it as the altimeter's
 noise: places look alike, and a fix is offered only where the readings tell them apart. On 'rough' ground a fix should
 be offered nearly always.
 
@@ -39,9 +39,9 @@ SPEED_MPS = 60.0
 SIGMA_M = 3.0  # of a reading
 MAP_SIGMA_M = 2.0
 CELLS, CELL_M = 400, 50.0
-PERIOD_CELLS = 16
+PERIOD_CELLS = 10
 GROUNDS = 8  # different maps of each terrain
-INS = InsGrade(position_sigma_m=400.0, velocity_sigma_mps=0.5, position_walk_m_per_sqrt_s=1.0)
+INS = InsGrade(position_sigma_m=250.0, velocity_sigma_mps=0.5, position_walk_m_per_sqrt_s=1.0)
 
 
 def run_case(terrain: str, seed: SeedSequence, **settings: Any) -> dict[str, float]:
@@ -98,7 +98,7 @@ def ground(terrain: str, number: int) -> Map:
     chart = gaussian_map(rng, std=std, correlation_m=length_m, cells=CELLS, cell_m=CELL_M, sigma=MAP_SIGMA_M)
     if terrain != "self-similar":
         return chart
-    tile = gaussian_map(rng, std=60.0, correlation_m=200.0, cells=PERIOD_CELLS, cell_m=CELL_M).values
+    tile = gaussian_map(rng, std=60.0, correlation_m=125.0, cells=PERIOD_CELLS, cell_m=CELL_M).values
     times = CELLS // PERIOD_CELLS
     values = chart.values + np.tile(tile, (times, times))
     return Map(values, chart.transform, sigma=MAP_SIGMA_M, source="synthetic", name=terrain)
