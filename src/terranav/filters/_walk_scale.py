@@ -20,8 +20,8 @@ from terranav.kernels import walk_scale as kernels
 FloatArray = NDArray[np.float64]
 
 FACTORS = np.array([1.0, 4.0, 16.0])  # of the variance of the process noise
-START = np.array([0.975, 0.015, 0.01])  # an INS is mostly as good as told; less than told is never assumed
-FORGET = 0.003  # chance a reading that the INS is another from here on
+START = np.array([0.95, 0.03, 0.02])  # an INS is mostly as good as told; less than told is never assumed
+FORGET = 0.005  # chance a reading that the INS is another from here on
 
 
 @dataclass(frozen=True, slots=True)

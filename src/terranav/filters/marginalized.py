@@ -339,12 +339,12 @@ class Marginalized:
         regimes = cloud.bad.copy()
         regimes[:, number] = after
         common = cloud.common - (shrink - widen) * np.outer(gain, gain)
-        cloud = replace(cloud, rows=rows, weight=weight, bad=regimes, common=common)
+        before, cloud = cloud, replace(cloud, rows=rows, weight=weight, bad=regimes, common=common)
         mean_now, cov_now = kernels.moments(rows, weight)
         cloud = replace(cloud, mean=mean_now, cov=cov_now)
         state = replace(state, cloud=cloud, mean=mean_now, cov=cov_now + common)
         if self.adapt_walk:
-            plane = linearised(rows, weight, residual, bias)
+            plane = linearised(before.rows, weight, residual, bias)  # the residuals are of the rows before
             noise = float(white[0] + plane[5])
             state = replace(state, walk=self._wandered(state, plane, number, noise, reach))
         return state, innovation
