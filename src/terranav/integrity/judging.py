@@ -22,6 +22,7 @@ SHARE = 0.5  # of the risk is for the posterior
 TOLD, FAR_OFF = 1.5, 2.5  # sigmas that look so many times too small are said; and degrade the fix
 ALARM, ALARM_LENGTHS = 1e-4, (1, 3, 5)  # probability, readings: withholds a fix until the next agrees; degrades it
 LOCAL = 3.0  # rivals within so many protection levels of the posterior widen it; farther ones withhold the fix
+LOCAL_SHARE = 0.25  # ... and within this share of the area where rivals are looked for
 UNEASY = 3.0  # mean NIS of three readings
 CLIP = 16.0
 
@@ -35,7 +36,10 @@ def proven(monitor: Monitored, state: MonitorState) -> bool:
 def _local(monitor: Monitored, state: MonitorState) -> bool:
     """Whether the rivals that are left are so near that a protection level that holds them, too, says it all."""
     assert state.standing is not None
-    return state.standing.reach_m <= LOCAL * protection(monitor, state)
+    reach = LOCAL * protection(monitor, state)
+    if state.rivals is not None:
+        reach = min(reach, LOCAL_SHARE * state.rivals.reach_m)
+    return state.standing.reach_m <= reach
 
 
 def protection(monitor: Monitored, state: MonitorState) -> float:
@@ -53,13 +57,13 @@ def verdict(monitor: Monitored, state: MonitorState) -> Verdict:
         search = f"searching within {words.metres(state.spread_m)} (1 sigma), attempt {state.attempt}"
         return Verdict(Status.LOST, mean, math.inf, False, (state.lost, search, *_left_out(state)))
     level = protection(monitor, state)
-    unproven, complaints, notes = _unproven(monitor, state), _complaints(monitor, state), _notes(state)
+    unproven, poor, notes = _unproven(monitor, state), complaints(monitor, state), _notes(state)
     if state.standing is not None and state.standing.reach_m > level:
         level = state.standing.reach_m
     if not state.fixed:
-        return Verdict(Status.SEARCHING, mean, level, False, (*unproven, *complaints, *notes))
-    if unproven or complaints:
-        return Verdict(Status.DEGRADED, mean, level, False, (*unproven, *complaints, *notes))
+        return Verdict(Status.SEARCHING, mean, level, False, (*unproven, *poor, *notes))
+    if unproven or poor:
+        return Verdict(Status.DEGRADED, mean, level, False, (*unproven, *poor, *notes))
     withheld: list[str] = []
     if monitor.alert_limit_m is not None and level > monitor.alert_limit_m:
         limit = words.metres(monitor.alert_limit_m)
@@ -93,14 +97,14 @@ def _unproven(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
     return ()
 
 
-def _complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
+def complaints(monitor: Monitored, state: MonitorState) -> tuple[str, ...]:
     """What speaks against a fix that is proven."""
     found = []
     for window in state.windows:
         if window.kind in state.silent or not window.seen:
             continue
-        if poor := window.bad or window.loud:
-            found.append(words.contradicts(window.kind, poor))
+        if finding := window.bad or window.loud:
+            found.append(words.contradicts(window.kind, finding))
         if window.alike:
             found.append(words.alike(window.kind, window.alike))
         if (factor := state.factor(window.kind) * window.scale) >= FAR_OFF:

@@ -162,7 +162,8 @@ def _searched(monitor: Monitored, state: MonitorState, reason: str, readings: in
     attempt = state.attempt + 1
     kinds, turn = recovery.suspects(state, attempt)
     left = recovery.left_out_anew(state, kinds, f"{' and '.join(kinds)} readings left out in the search")
-    spread = recovery.spread_of(state, turn, monitor.most_spread_m)
+    jumped = 1 if state.anchors else 0  # a proven fix is not lost by a little
+    spread = recovery.spread_of(state, turn + jumped, monitor.most_spread_m)
     anchors = state.anchors if state.lost else recovery.before_trouble(state, readings)
     factor = 1.0 if state.anchors else recovery.noise_of(turn)  # sigmas that were good for a fix are good
     factors = tuple((window.kind, factor) for window in state.windows if window.seen) if factor > 1.0 else ()
@@ -181,8 +182,13 @@ def _restarted(monitor: Monitored, state: MonitorState, readings: int, spread_m:
 
 def _anew(monitor: Monitored, state: MonitorState, area: Prior, rng: Generator) -> MonitorState:
     """The estimator started anew in an area, and nothing seen yet."""
-    inner = monitor.estimator.excluding(state.inner, state.silent)
-    inner = monitor.estimator.restarted(inner, area, rng)
+    assert state.epoch is not None
+    if state.lost:  # what was learned of the noise was learned in the wrong place
+        silence = replace(state.epoch, measurements=())
+        inner = monitor.estimator.step(monitor.estimator.init(area, rng), silence, rng)
+        inner = monitor.estimator.excluding(inner, state.silent)
+    else:
+        inner = monitor.estimator.restarted(monitor.estimator.excluding(state.inner, state.silent), area, rng)
     sigma = largest_sigma_m(area.cov_m2)
     return replace(
         state,

@@ -237,6 +237,8 @@ def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
         return state
     if not judging.proven(monitor, state) or state.sigma_m > HYSTERESIS * monitor.converged_sigma_m:
         return state
+    if state.lost and state.anchors and judging.complaints(monitor, state):
+        return state  # sensors and map were good for a fix before: a place where they are not is not the right one
     proved = None if state.rivals is None else replace(state.rivals, proved=True)
     found = tuple(mending.named(state, one) if one.trial else one for one in state.left_out)
     return replace(state, fixed=True, lost="", attempt=0, rivals=proved, left_out=found, silence_s=0.0)
