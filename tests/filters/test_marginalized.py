@@ -363,7 +363,7 @@ def test_a_coarse_cloud_sees_the_terrain_as_coarsely_as_it_can(plane: Map) -> No
     assert np.mean(found) == pytest.approx(expected, rel=0.15)
 
 
-@pytest.mark.parametrize(("particles", "tolerance"), [(4000, 0.025), (32_000, 0.009)])
+@pytest.mark.parametrize(("particles", "tolerance"), [(4000, 0.006), (32_000, 0.002)])
 def test_flat_land_teaches_nothing_of_the_position(particles: int, tolerance: float) -> None:
     """The mean is exact; the covariance is so but for what chance correlates velocities and positions of particles."""
     chart = plane_map(0.0, 0.0, cells=513, cell_m=64.0, sigma=3.0)
@@ -386,10 +386,7 @@ def test_flat_land_teaches_nothing_of_the_position(particles: int, tolerance: fl
         assert state.cov[4, 4] < 0.2 * KINDS["terrain"].bias_sigma ** 2  # but the bias is learned
 
 
-TAIL = pytest.mark.xfail(reason="2.6 sigma out the cloud is thin: of 40 such truths 11 were lost", strict=False)
-
-
-@pytest.mark.parametrize("seed", [*range(7), 8, pytest.param(7, marks=TAIL)])
+@pytest.mark.parametrize("seed", range(9))
 def test_a_prior_of_kilometres_loses_no_truth(wide_hills: Map, seed: int) -> None:
     coarse = InsGrade(3000.0, 0.5, 1.0, 0.01)
     filter_ = Marginalized((wide_hills,), coarse)

@@ -371,7 +371,8 @@ class Marginalized:
         cloud = state.cloud
         if cloud is None or kernels.effective(cloud.weight) >= RESAMPLE_SHARE * cloud.weight.size:
             return state
-        return replace(state, cloud=resampled(cloud, self._count(covered_area(cloud)), self._cell_m, rng))
+        count = max(self._count(covered_area(cloud)), cloud.weight.size // 2)  # small modes are not cut off at once
+        return replace(state, cloud=resampled(cloud, count, self._cell_m, rng))
 
 
 def _met(state: MarginalizedState, number: int, slope2: float) -> MarginalizedState:

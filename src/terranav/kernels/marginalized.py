@@ -11,6 +11,7 @@ from terranav.kernels.jit import jit
 from terranav.kernels.sampling import bilinear_at
 
 BINS = 48  # per axis, of the histogram that measures a cloud's area
+COMMON = 4  # positions and velocities: columns that the noise of a step has nothing in common with
 INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
 
 
@@ -19,11 +20,12 @@ def advance(cloud, weight, phi, spread, noise, out):
     """Move every particle: out[k] = phi cloud[k] + spread noise*[k].
 
     noise* are the given normal numbers, shifted and mixed to mean zero, unit covariance, and none in common with the
-    predicted positions, all under the weights: so the cloud's position covariance grows by exactly spread spread'.
+    predicted positions and velocities, all under the weights: so the cloud's covariance grows by exactly that of the
+    noise, and chance makes no velocity out of it.
 
     Parameters
     ----------
-    cloud : (m, d) float64
+    cloud : (m, d) float64, d >= COMMON
     weight : (m,) float64, sums to one
     phi : (d, d) float64
     spread : (d, 2) float64
@@ -31,50 +33,49 @@ def advance(cloud, weight, phi, spread, noise, out):
     out : (m, d) float64, written
     """
     m, d = cloud.shape
-    s = np.zeros(14)  # weighted sums: p (2), n (2), pp (3), nn (3), np (4)
+    n = COMMON
+    mean, square = np.zeros(n + 2), np.zeros((n + 2, n + 2))  # of the columns COMMON and of the noise
+    row = np.empty(n + 2)
     for k in range(m):
         for i in range(d):
             total = 0.0
             for j in range(d):
                 total += phi[i, j] * cloud[k, j]
             out[k, i] = total
-        w, a, b, u, v = weight[k], out[k, 0], out[k, 1], noise[k, 0], noise[k, 1]
-        s[0] += w * a
-        s[1] += w * b
-        s[2] += w * u
-        s[3] += w * v
-        s[7] += w * u * u
-        s[8] += w * u * v
-        s[9] += w * v * v
+        for i in range(n):
+            mean[i] += weight[k] * out[k, i]
+        mean[n] += weight[k] * noise[k, 0]
+        mean[n + 1] += weight[k] * noise[k, 1]
     for k in range(m):  # about the mean, or the squares of far positions swamp the products
-        w, a, b, u, v = weight[k], out[k, 0] - s[0], out[k, 1] - s[1], noise[k, 0] - s[2], noise[k, 1] - s[3]
-        s[4] += w * a * a
-        s[5] += w * a * b
-        s[6] += w * b * b
-        s[10] += w * u * a
-        s[11] += w * u * b
-        s[12] += w * v * a
-        s[13] += w * v * b
-    nn, nv, vv = s[7] - s[2] * s[2], s[8] - s[2] * s[3], s[9] - s[3] * s[3]
-    det = s[4] * s[6] - s[5] * s[5]
-    ua, ub, va, vb = 0.0, 0.0, 0.0, 0.0
-    if det > 1e-10 * (s[4] + s[6]) ** 2:
-        ua, ub = (s[10] * s[6] - s[11] * s[5]) / det, (s[11] * s[4] - s[10] * s[5]) / det
-        va, vb = (s[12] * s[6] - s[13] * s[5]) / det, (s[13] * s[4] - s[12] * s[5]) / det
-        nn -= ua * s[10] + ub * s[11]
-        nv -= 0.5 * (ua * s[12] + ub * s[13] + va * s[10] + vb * s[11])
-        vv -= va * s[12] + vb * s[13]
-    first = 1.0 / math.sqrt(max(nn, 1e-3))  # Cholesky: u* = u / sqrt(nn), v* = (v - u nv / nn) / sqrt(rest)
-    slope = nv * first * first
-    second = 1.0 / math.sqrt(max(vv - nv * slope, 1e-3))
-    for k in range(m):
-        a, b = out[k, 0] - s[0], out[k, 1] - s[1]
-        u = noise[k, 0] - s[2] - ua * a - ub * b
-        v = noise[k, 1] - s[3] - va * a - vb * b
-        v = (v - slope * u) * second
-        u *= first
+        for i in range(n):
+            row[i] = out[k, i] - mean[i]
+        row[n], row[n + 1] = noise[k, 0] - mean[n], noise[k, 1] - mean[n + 1]
+        for i in range(n + 2):
+            scaled = weight[k] * row[i]
+            for j in range(i + 1):
+                square[i, j] += scaled * row[j]
+    root = np.zeros((n + 2, n + 2))  # Cholesky of `square`; a column that the ones before it explain is left out
+    for i in range(n + 2):
+        for j in range(i + 1):
+            left = square[i, j]
+            for k in range(j):
+                left -= root[i, k] * root[j, k]
+            if i == j:
+                floor = 1e-3 if i >= n else 1e-10 * square[i, i]
+                root[i, i] = math.sqrt(left) if left > floor else 0.0
+                if i >= n and root[i, i] == 0.0:
+                    root[i, i] = math.sqrt(floor)
+            elif root[j, j] > 0.0:
+                root[i, j] = left / root[j, j]
+    white = np.empty(n + 2)
+    for k in range(m):  # whitened by forward substitution, the last two are what the noise has of its own
+        for i in range(n + 2):
+            left = out[k, i] - mean[i] if i < n else noise[k, i - n] - mean[i]
+            for j in range(i):
+                left -= root[i, j] * white[j]
+            white[i] = left / root[i, i] if root[i, i] > 0.0 else 0.0
         for i in range(d):
-            out[k, i] += spread[i, 0] * u + spread[i, 1] * v
+            out[k, i] += spread[i, 0] * white[n] + spread[i, 1] * white[n + 1]
 
 
 @jit
