@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from terranav.core.records import Posterior
 from terranav.kernels import integrity as kernels
 
-FREEDOM = 30.0  # as if so many readings confirmed the covariance: the filter's own approximations limit it, too
+FREEDOM = 12.0  # as if so many readings confirmed the covariance: the filter approximates, too
 FAR = 1e-9
 
 
