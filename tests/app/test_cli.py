@@ -112,6 +112,7 @@ def test_wrong_use_from_the_shell() -> None:
         (["--ins", "nowhere.toml"], "nowhere.toml: no such file"),
         (["--map-kind", "terain"], "did you mean 'terrain'?"),
         (["--map-sigma", "-3"], "sigma"),
+        (["--map-correlation", "0"], "correlation_m is 0.0, expected a finite number and > 0"),
         (["--map-kind", "terrain", "--map-kind", "gravity"], "--map-kind is given 2 times for 1 maps"),
         (["--map-crs", "EPSG:999999"], "EPSG:999999"),
     ],

@@ -326,3 +326,14 @@ def test_a_gaussian_map_has_the_spread_and_correlation_it_was_asked_for() -> Non
     for lag in (1, 3, 5):
         product = ((field - 400.0) * (np.roll(field, lag, axis=1) - 400.0)).mean() / 400.0
         assert product == pytest.approx(np.exp(-((lag / 3.0) ** 2)), abs=0.06)
+
+
+def test_the_length_of_the_map_error_is_told_or_two_and_a_half_cells() -> None:
+    assert a_map().error_length_m == pytest.approx(2.5 * a_map().cell_m)
+    told = a_map(correlation_m=400.0)
+    assert told.error_length_m == 400.0
+    assert pickle.loads(pickle.dumps(told)).error_length_m == 400.0
+    assert told.crop(45.6, 10.2, 45.8, 10.4).error_length_m == 400.0
+    for wrong in (0.0, -1.0, float("nan")):
+        with pytest.raises(tn.ConfigError, match="correlation_m"):
+            a_map(correlation_m=wrong)

@@ -67,7 +67,7 @@ def open_maps(paths: Sequence[Path], options: Mapping[str, Sequence[Any] | None]
     ----------
     paths : sequence of Path
     options : mapping, optional
-        Keyword of `open_map` (kind, sigma, crs, variable, unit) to its values: none, one for all maps, or one for each
+        Option (kind, sigma, correlation, crs, variable, unit) to its values: none, one for all maps, or one for each
         map in their order.
 
     Raises
@@ -84,7 +84,9 @@ def open_maps(paths: Sequence[Path], options: Mapping[str, Sequence[Any] | None]
                 f"--map-{key} is given {len(values)} times for {n} maps, expected once, or once for each map"
             )
         for i in range(n if values else 0):
-            each[i][key] = (values or ())[i if len(values or ()) == n else 0]
+            each[i]["correlation_m" if key == "correlation" else key] = (values or ())[
+                i if len(values or ()) == n else 0
+            ]
     return tuple(open_map(path, **keywords) for path, keywords in zip(paths, each, strict=True))
 
 

@@ -137,8 +137,10 @@ class Scenario(Table):
         if table.file == SAMPLE:
             from terranav.maps.sample_dem import sample_map
 
-            if table.kind != "terrain" or set(given) - {"kind", "sigma", "name"}:
-                raise ConfigError("[[maps]] file = 'sample' is a terrain map in metres, expected only sigma and name")
+            if table.kind != "terrain" or set(given) - {"kind", "sigma", "correlation_m", "name"}:
+                raise ConfigError(
+                    "[[maps]] file = 'sample' is a terrain map in metres, expected only sigma, correlation_m and name"
+                )
             return replace(sample_map(), **given)
         from terranav.io.rasters import open_map
 

@@ -53,6 +53,7 @@ class MapTable(Table):
     file: str = key(..., "a path, or 'sample'", "Map file, relative to the scenario's folder; 'sample': the sample DEM")
     kind: Kind = key("terrain", _KINDS, "What the map shows")
     sigma: float | None = key(None, _NOT_NEGATIVE, "1-sigma of the map error [the kind's unit: m, m, mGal, nT]", ge=0)
+    correlation_m: float | None = key(None, _POSITIVE, "Correlation length of the map error; else 2.5 cells [m]", gt=0)
     crs: str | None = key(None, _TEXT, "CRS, where the file states none or a wrong one: anything that pyproj takes")
     variable: str | int | None = key(
         None, "a text, or a whole number", "Variable of a NetCDF file; a band's description, or its number from 1"

@@ -31,6 +31,7 @@ def open_map(
     *,
     kind: str = "terrain",
     sigma: float | None = None,
+    correlation_m: float | None = None,
     crs: str | None = None,
     variable: str | int | None = None,
     unit: str | None = None,
@@ -51,6 +52,8 @@ def open_map(
         'terrain', 'bathymetry', 'gravity' or 'magnetic'.
     sigma : float, optional
         1-sigma of the map error [kind's unit], >= 0; by default 3 m, 10 m, 2 mGal, 20 nT for the kinds as above.
+    correlation_m : float, optional
+        Correlation length of the map error, > 0 [m]; by default `terranav.maps.map.CORRELATION_CELLS` cells.
     crs : str, optional
         Of the file's coordinates, as pyproj takes it; wins over the file's own. Needed where the file states none and
         its axes are not longitude and latitude.
@@ -101,6 +104,7 @@ def open_map(
             datum=grid.datum,
             source=file.name,
             name=label,
+            correlation_m=correlation_m,
         )
     except (DataError, ConfigError) as error:
         raise type(error)(f"{file}: {str(error).removeprefix(f'{label}: ')}") from None

@@ -32,6 +32,7 @@ def compare(
     drift_seed: options.DriftSeed = 0,
     map_kind: options.MapKinds = None,
     map_sigma: options.MapSigmas = None,
+    map_correlation: options.MapCorrelations = None,
     map_crs: options.MapCrs = None,
     map_variable: options.MapVariables = None,
     map_unit: options.MapUnits = None,
@@ -52,7 +53,8 @@ def compare(
         raise ConfigError("compare needs a scenario file or --recording FILE, and not both")
     wanted = Wanted(folder_for(out), as_json, since, context.obj)
     map_options = {
-        "kind": map_kind, "sigma": map_sigma, "crs": map_crs, "variable": map_variable, "unit": map_unit
+        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
+        "variable": map_variable, "unit": map_unit,
     }  # fmt: skip
     given = Given(recording, maps or (), map_options, ins, drift, drift_seed, first)
     methods = with_baseline(estimator or estimators())

@@ -37,6 +37,7 @@ def cue(
     first: options.First = None,
     map_kind: options.MapKinds = None,
     map_sigma: options.MapSigmas = None,
+    map_correlation: options.MapCorrelations = None,
     map_crs: options.MapCrs = None,
     map_variable: options.MapVariables = None,
     map_unit: options.MapUnits = None,
@@ -50,7 +51,8 @@ def cue(
 
     settings = CueSettings(margin, lookahead, threshold, altitude_sigma, bank_deg=bank)
     map_options = {
-        "kind": map_kind, "sigma": map_sigma, "crs": map_crs, "variable": map_variable, "unit": map_unit
+        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
+        "variable": map_variable, "unit": map_unit,
     }  # fmt: skip
     rec, charts, told = Given(recording, maps or (), map_options, ins, drift, drift_seed, first).read()
     ground, row = _ground(charts), _row_at(rec, at)

@@ -29,6 +29,15 @@ MapSigmas = Annotated[
         "--map-sigma", metavar="S", rich_help_panel=MAP_PANEL, help="1-sigma error of the map, in the kind's unit."
     ),
 ]
+MapCorrelations = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--map-correlation",
+        metavar="M",
+        rich_help_panel=MAP_PANEL,
+        help="Correlation length of the map's error, in m; 2.5 cells unless given.",
+    ),
+]
 MapCrs = Annotated[
     list[str] | None,
     typer.Option(

@@ -35,6 +35,7 @@ def run(
     drift_seed: options.DriftSeed = 0,
     map_kind: options.MapKinds = None,
     map_sigma: options.MapSigmas = None,
+    map_correlation: options.MapCorrelations = None,
     map_crs: options.MapCrs = None,
     map_variable: options.MapVariables = None,
     map_unit: options.MapUnits = None,
@@ -44,7 +45,8 @@ def run(
     from terranav.app.given import Given, folder_for, settings_from
 
     map_options = {
-        "kind": map_kind, "sigma": map_sigma, "crs": map_crs, "variable": map_variable, "unit": map_unit
+        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
+        "variable": map_variable, "unit": map_unit,
     }  # fmt: skip
     given = Given(recording, maps or (), map_options, ins, drift, drift_seed, first)
     asked = _smoothed(estimator) if smooth else estimator
