@@ -19,7 +19,7 @@ import terranav as tn
 from benchmarks.statistics import median_with_interval
 from terranav.experiment.demo import demo_scenario
 
-METHODS = ("ins", "pointmass", "sitan", "tercom")
+METHODS = ("ins", "marginalized", "pointmass", "sitan", "tercom")
 FIGURES = ("drms_m", "r95_m", "nees_per_axis", "contained_95", "first_fix_s", "lost_s", "final_m")
 
 

@@ -26,6 +26,7 @@ DATA = Path(os.environ.get("TERRANAV_SHARED", ROOT.parent / "shared")) / "data" 
 COLUMNS = ROOT / "examples" / "wisconsin_helicopter.toml"
 METHODS: dict[str, tuple[str, dict[str, object]]] = {
     "ins": ("ins", {}),
+    "marginalized": ("marginalized", {}),
     "pointmass": ("pointmass", {}),
     "sitan": ("sitan", {}),
     "tercom": ("tercom", {"window": 12, "every": 3}),  # 48 readings of one every 20 s would span 16 minutes
