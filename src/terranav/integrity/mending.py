@@ -134,8 +134,8 @@ def _calm(nis: FloatArray) -> bool:
 
 
 def _scatters(monitor: Monitored, state: MonitorState, window: Window) -> bool:
-    """Whether a full window is a little too noisy all along, about the right place, and white."""
-    if window.loud is None or window.alike is not None:
+    """Whether a full window is a little too noisy all along, not of late only, about the right place, and white."""
+    if window.loud is None or window.alike is not None or excess(window.nis[: -LENGTHS[1]], DOUBT) is None:
         return False
     chart = next(one for one in monitor.maps if one.kind == window.kind)
     return state.rivals is not None and rivals.rank(state.rivals, window, chart, len(window)) <= RANK
