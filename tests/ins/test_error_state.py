@@ -52,7 +52,7 @@ def normed(cov: np.ndarray) -> np.ndarray:
     """As a correlation matrix, rows without variance left as they are."""
     sigma = np.sqrt(np.diag(cov))
     sigma[sigma == 0.0] = 1.0
-    return cov / np.outer(sigma, sigma)
+    return np.asarray(cov / np.outer(sigma, sigma))
 
 
 @given(level=st.sampled_from(LEVELS), dt=st.floats(0.0, 3600.0), start=st.floats(0.0, 1000.0))
@@ -213,13 +213,13 @@ def test_level_is_the_most_that_is_known() -> None:
     assert ErrorModel.level_for(FULL, epoch(0.0, velocity=False)) == "schuler"
     for ins in (ON_POSITION_LEVEL, InsGrade(accel_walk_mps_per_sqrt_h=0.1), InsGrade(heading_sigma_deg=1.0)):
         assert ErrorModel.level_for(ins, known) == "position"
-    for figure in (
-        "attitude_sigma_deg",
-        "accel_bias_sigma_ug",
-        "gyro_bias_sigma_deg_per_h",
-        "gyro_walk_deg_per_sqrt_h",
+    for ins in (
+        InsGrade(attitude_sigma_deg=0.1),
+        InsGrade(accel_bias_sigma_ug=0.1),
+        InsGrade(gyro_bias_sigma_deg_per_h=0.1),
+        InsGrade(gyro_walk_deg_per_sqrt_h=0.1),
     ):
-        assert ErrorModel.level_for(InsGrade(**{figure: 0.1}), known) == "strapdown"
+        assert ErrorModel.level_for(ins, known) == "strapdown"
 
 
 def test_on_a_straight_flight_strapdown_and_schuler_agree() -> None:

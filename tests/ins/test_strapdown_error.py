@@ -47,10 +47,13 @@ def winding() -> Trajectory:
 
 
 def epochs_of(flight: Trajectory) -> list[Epoch]:
-    rows = zip(flight.time_s, flight.lat_deg, flight.lon_deg, flight.alt_m, strict=True)
+    places = zip(
+        *(axis.tolist() for axis in (flight.time_s, flight.lat_deg, flight.lon_deg, flight.alt_m)), strict=True
+    )
+    turning = zip(flight.velocity_mps.tolist(), flight.attitude_deg.tolist(), strict=True)
     return [
-        Epoch(*map(float, row), tuple(map(float, v)), tuple(map(float, a)))
-        for row, v, a in zip(rows, flight.velocity_mps, flight.attitude_deg, strict=True)
+        Epoch(t, lat, lon, alt, (v[0], v[1], v[2]), (a[0], a[1], a[2]))
+        for (t, lat, lon, alt), (v, a) in zip(places, turning, strict=True)
     ]
 
 
@@ -114,7 +117,7 @@ def small_terms(at: model.Flight) -> np.ndarray:
         return 7.292115e-5 * np.array([math.cos(lat), 0.0, -math.sin(lat)])
 
     def transport_d(lat: float) -> float:
-        return -v[1] * math.tan(lat) / re
+        return float(-v[1] * math.tan(lat) / re)
 
     step = 1e-4
     turned = np.zeros((3, 3))
@@ -163,7 +166,11 @@ def test_propagation_agrees_with_python_ins_but_for_the_small_terms(
 @pytest.fixture(scope="module")
 def all_fifteen(winding: Trajectory) -> np.ndarray:
     """Position and velocity errors (6, 13) at the end by the 15-state matrices without the small terms."""
-    flight = [model.Flight(e.lat_deg, e.alt_m, e.velocity_mps, e.attitude_deg) for e in epochs_of(winding.every(25))]
+    flight = [
+        model.Flight(e.lat_deg, e.alt_m, e.velocity_mps, e.attitude_deg)
+        for e in epochs_of(winding.every(25))
+        if e.velocity_mps is not None and e.attitude_deg is not None
+    ]
     matrices = [model.system_matrix(at) - small_terms(at) for at in flight]
     states = np.zeros((15, 13))
     states[model.HELD] = np.eye(13)
