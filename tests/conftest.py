@@ -6,6 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("same", derandomize=True)  # the same examples on every machine and in every run
+settings.load_profile("same")
 
 SHARED = Path(os.environ.get("TERRANAV_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 
