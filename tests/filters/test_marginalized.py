@@ -731,6 +731,7 @@ class TestCloud:
         ("adapt_walk", "yes"),
         ("bias_sigma", {"terrain": -1.0}),
         ("bias_sigma", {"terain": 1.0}),
+        ("bias_sigma", 3.0),
         ("converged_sigma_m", 0.0),
     ],
 )

@@ -29,6 +29,7 @@ from scipy.linalg import expm
 
 from terranav.core.checks import finite, unknown_name
 from terranav.core.earth import GRAVITY_MPS2, SCHULER_RAD_PER_S, offset_of
+from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.kinds import KINDS, kind_named
 from terranav.core.records import Epoch
@@ -154,7 +155,9 @@ class ErrorModel:
 
 
 def check_bias_sigma(name: str, bias_sigma: Mapping[str, float]) -> None:
-    """Raise ConfigError for an unknown kind or a sigma that is not >= 0."""
+    """Raise ConfigError for what is no mapping, an unknown kind, or a sigma that is not >= 0."""
+    if not isinstance(bias_sigma, Mapping):
+        raise ConfigError(f"{name} bias_sigma is {bias_sigma!r}, expected a table of kinds such as {{terrain = 15.0}}")
     for kind, sigma in bias_sigma.items():
         if kind not in KINDS:
             unknown_name(f"kind in {name} bias_sigma", kind, KINDS)
