@@ -1,7 +1,8 @@
 """Bound: how close the navigator comes to the Cramer-Rao bound on informative tracks with matched models.
 
 Of a track: the root of the mean squared distance from the truth, over runs and over the epochs that count
-(`terranav.experiment.studies.tracks`), over the root of the mean trace of the bound there.
+(`terranav.experiment.studies.tracks`), over the root of the mean trace of the bound there. A run that never
+called itself converged has no such epochs and is counted.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ p90 = partial(np.percentile, q=90.0)
 
 def report(cases: Sequence[CaseRuns]) -> Report:
     """Ratios by map and over all tracks."""
-    ratios = per_case([np.stack([one["mse_m2"], one["bound_m2"]], axis=1) for one in cases], ratio)
+    ratios = per_case([matched.after_convergence(one, "mse_m2", "bound_m2") for one in cases], ratio)
     maps = np.array([one.case.map_name for one in cases])
     rows, facts = [], []
     for name in [*dict.fromkeys(maps.tolist()), "all"]:
@@ -43,7 +44,17 @@ def report(cases: Sequence[CaseRuns]) -> Report:
         text, fact = _row(name, [one for one, chosen in zip(cases, mine, strict=True) if chosen], ratios, mine)
         rows.append(text)
         facts.append(fact)
-    columns = ("map", "tracks", "runs", "bound, drms [m]", "median ratio", "90th percentile", "worst track", "lost")
+    columns = (
+        "map",
+        "tracks",
+        "runs",
+        "bound, drms [m]",
+        "median ratio",
+        "90th percentile",
+        "worst track",
+        "no fix",
+        "lost",
+    )
     table = Table("RMSE over the Cramer-Rao bound after convergence, 95 % intervals", columns, tuple(rows))
     tracks = [
         {"track": one.case.name, "runs": one.runs, "ratio": plain(ratios.interval(i))} for i, one in enumerate(cases)
@@ -56,13 +67,15 @@ def _row(
 ) -> tuple[tuple[str, ...], dict[str, Any]]:
     """One map."""
     middle, high = ratios.over_cases(np.median, mine), ratios.over_cases(p90, mine)
-    bounds = np.sqrt([one["bound_m2"].mean() for one in cases if one.runs])
+    bounds = np.sqrt([np.nanmean(one["bound_m2"]) for one in cases if one["fixed"].any()])
     worst = float(np.nanmax(ratios.values[mine]))
-    runs, lost = sum(one.runs for one in cases), int(sum(one["lost"].sum() for one in cases))
+    runs = sum(one.runs for one in cases)
+    lost, never = (int(sum(one[key].sum() for one in cases)) for key in ("lost", "fixed"))
+    never = runs - never
     span = f"{bounds.min():.0f} to {bounds.max():.0f}" if len(bounds) else "–"
-    text = (name, str(len(cases)), str(runs), span, shown(middle), shown(high), f"{worst:.2f}", str(lost))
+    text = (name, str(len(cases)), str(runs), span, shown(middle), shown(high), f"{worst:.2f}", str(never), str(lost))
     fact = {"map": name, "tracks": len(cases), "runs": runs, "median_ratio": plain(middle), "p90_ratio": plain(high)}
-    return text, {**fact, "worst_ratio": worst, "lost": lost}
+    return text, {**fact, "worst_ratio": worst, "no_fix": never, "lost": lost}
 
 
 def _verdicts(cases: Sequence[CaseRuns], ratios: PerCase, maps: int) -> list[Verdict]:

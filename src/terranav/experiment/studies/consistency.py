@@ -42,13 +42,15 @@ def inside(nees: FloatArray) -> FloatArray:
 
 def report(cases: Sequence[CaseRuns]) -> Report:
     """NEES tests and containment by map and over all tracks."""
-    nees = [np.stack([one[name] for name in _NAMES], axis=1) for one in cases]
+    nees = [matched.after_convergence(one, *_NAMES) for one in cases]
     passed = np.array([inside(one) if len(one) else np.nan for one in nees])
     last = np.array([inside(one[:, -1:]) if len(one) else np.nan for one in nees])
     # drawing the runs again would widen the means beyond the band: the share's interval is over tracks only
     shares = [PerCase(values, np.repeat(values[:, None], DRAWS, axis=1)) for values in (passed, last)]
-    contained = per_case([one["contained_95"] for one in cases], lambda runs: runs.mean(axis=-1))
-    means = per_case([one["nees"] for one in cases], lambda runs: runs.mean(axis=-1))
+    contained, means = (
+        per_case([matched.after_convergence(one, key)[:, 0] for one in cases], lambda runs: runs.mean(axis=-1))
+        for key in ("contained_95", "nees")
+    )
     maps = np.array([one.case.map_name for one in cases])
     rows, facts = [], []
     for name in [*dict.fromkeys(maps.tolist()), "all"]:

@@ -11,15 +11,17 @@ from typing import Any
 
 import numpy as np
 from numpy.random import SeedSequence
+from numpy.typing import NDArray
 
 from terranav.core.errors import StateError
+from terranav.core.records import Status
 from terranav.experiment.metrics import consistency
 from terranav.experiment.registry import make_estimator
 from terranav.experiment.result import Result
 from terranav.experiment.run import run
 from terranav.experiment.studies.ensemble import losses
 from terranav.experiment.studies.sources import data_folder, terrain_sources
-from terranav.experiment.studies.study import Plan, Setup
+from terranav.experiment.studies.study import CaseRuns, Plan, Setup
 from terranav.experiment.studies.tracks import (
     CANDIDATES,
     INS,
@@ -32,7 +34,9 @@ from terranav.experiment.studies.tracks import (
 )
 from terranav.experiment.studies.world import flown
 
-TRACKS = 7  # on each map
+FloatArray = NDArray[np.float64]
+
+TRACKS = 6  # on each map
 ESTIMATOR = "marginalized"
 TOLD = {"registration_cells": 0.0}
 TESTED = 5  # epochs at which the NEES is tested: evenly spread, the last is the last
@@ -100,12 +104,15 @@ def informative_tracks(setup: Setup, count: int) -> tuple[list[Track], list[str]
 def run_case(case: MatchedCase, seeds: SeedSequence) -> dict[str, float]:
     """One flight in the matched world.
 
+    The epochs that count are those after convergence: from where the bound is low (`tracks.settled_index`) and the
+    navigator has first called itself converged; whatever it says later, they count.
+
     Returns
     -------
     dict
-        mse_m2, bound_m2: mean over the epochs that count of the squared distance from the truth, and of the bound's
-        trace. nees_0 ..: NEES (2 degrees of freedom) at the tested epochs. contained_95, max_m: over the epochs that
-        count. lost, unsaid: as of `ensemble.losses`.
+        fixed: whether there are such epochs; if so, mse_m2, bound_m2: mean over them of the squared distance from the
+        truth, and of the bound's trace. nees_0 ..: NEES (2 degrees of freedom) at the tested epochs. contained_95,
+        max_m: over the epochs that count. lost, unsaid: as of `ensemble.losses`.
     """
     world, estimator = seeds.spawn(2)
     rec = flown(case.track, MATCHED, np.random.default_rng(world)).rec
@@ -115,7 +122,17 @@ def run_case(case: MatchedCase, seeds: SeedSequence) -> dict[str, float]:
     first = settled_index(lowest)
     if first is None:
         raise StateError(f"{case.name}: the bound does not come down")
-    return {"bound_m2": float(np.mean(lowest.drms_m[first:] ** 2)), **figures(result, first)}
+    converged = np.flatnonzero(result.status == Status.CONVERGED.value)
+    said = losses(result, first)
+    if not converged.size:
+        return {"fixed": 0.0, **said}
+    begin = max(first, int(converged[0]))
+    return {"fixed": 1.0, "bound_m2": float(np.mean(lowest.drms_m[begin:] ** 2)), **figures(result, begin), **said}
+
+
+def after_convergence(case: CaseRuns, *names: str) -> FloatArray:
+    """(runs, names) figures of the runs that converged."""
+    return np.asarray(np.stack([case[name] for name in names], axis=1)[case["fixed"] == 1.0])
 
 
 def figures(result: Result, first: int) -> dict[str, float]:
@@ -127,5 +144,5 @@ def figures(result: Result, first: int) -> dict[str, float]:
     nees = {f"nees_{i}": consistency(error[k : k + 1], cov[k : k + 1])["nees"] for i, k in enumerate(tested.tolist())}
     return {
         "mse_m2": float(np.mean(distance**2)), "max_m": float(distance.max()), "nees": whole["nees"],
-        "contained_95": whole["contained_95"], **nees, **losses(result, first),
+        "contained_95": whole["contained_95"], **nees,
     }  # fmt: skip
