@@ -49,6 +49,7 @@ from terranav.filters import _noise_scale as noise_scale
 from terranav.filters import _walk_scale as walk_scale
 from terranav.filters._cloud import Cloud, advanced, covered_area, drawn, prior_area, prior_covariance, resampled
 from terranav.filters._maps import one_map_a_kind
+from terranav.filters._reading import GROUND, Seen, compared, likelihoods
 from terranav.ins.error_state import ErrorModel, Transition, check_bias_sigma
 from terranav.kernels import marginalized as kernels
 from terranav.kernels.walk_scale import linearised
@@ -59,7 +60,6 @@ FloatArray = NDArray[np.float64]
 LEAST_PARTICLES, MOST_PARTICLES = 100, 10_000_000
 RESAMPLE_SHARE = 0.5  # of the effective number
 FINEST_CELLS = 0.25  # a coarse cloud gets particles until they are so many cells apart
-GROUND = 1.0 / 12.0  # variance of the place within the square that a particle stands for [its side squared]
 SLOPE_MEMORY = 300.0  # readings over which the slope along the track is averaged
 BAD_PATCH = 2.0  # a bad patch is so many times longer than the map error's correlation
 
@@ -299,55 +299,47 @@ class Marginalized:
         """The state after one reading, and what the reading was against its prediction."""
         cloud, model = state.cloud, state.model
         assert cloud is not None and model is not None  # noqa: PT018  set by _begun()
-        number, bias = self.maps.index(chart), model.bias_index(chart.kind)
-        radius = float(np.abs(cloud.rows[:, :2]).max()) * math.sqrt(2.0)
-        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
-        coefficients = np.stack([frame.row, frame.col])
-        residual, slope2 = np.empty(len(cloud.rows)), np.empty(len(cloud.rows))
-        kernels.compare(chart.values, coefficients, cloud.rows, np.array([reading.value, bias]), residual, slope2)
-        gain = cloud.common[:, bias] + cloud.common[:, bias + 1]
-        both = float(gain[bias] + gain[bias + 1])
-        factor = noise_scale.expected(state.scale[number])
         blur2 = (self.blur_cells * chart.cell_m) ** 2
-        white = factor * np.array([reading.sigma**2, blur2])
-        known, mean, variance, noise = kernels.predicted(cloud.weight, residual, slope2, white, both)
+        reach = self.outlier_scale * math.hypot(reading.sigma, chart.sigma)
+        seen = compared(cloud, model, chart, epoch, reading, blur2=blur2, reach=reach)
+        number, factor = seen.number, noise_scale.expected(state.scale[seen.number])
+        known, mean, variance, noise = kernels.predicted(
+            cloud.weight, seen.residual, seen.slope2, factor * seen.told, seen.common
+        )
         used = chart.kind not in state.excluded and known > 0.0
         innovation = Innovation(chart.kind, mean, variance, noise, known, used, math.sqrt(factor))
         if not used:
             return state, innovation
-        state = _met(state, number, float(kernels.mean_known(cloud.weight, residual, slope2)))
-        bad = np.ascontiguousarray(cloud.bad[:, number])
-        reach = self.outlier_scale * math.hypot(reading.sigma, chart.sigma)
-        ground2 = GROUND * cloud.spacing_m**2
+        state = _met(state, number, float(kernels.mean_known(cloud.weight, seen.residual, seen.slope2)))
         if self.adapt_noise:
-            likelihood = np.empty(noise_scale.SCALES.size)
-            patch = float(cloud.common[bias + 1, bias + 1])
-            told = np.array([reading.sigma**2, blur2 + ground2 / factor])
-            parts = np.array([both - patch, patch / factor])
-            kernels.evidence(cloud.weight, residual, slope2, bad, told, parts, reach, noise_scale.SCALES, likelihood)
             scale = state.scale.copy()
-            scale[number] = noise_scale.learned(scale[number], likelihood)
+            scale[number] = noise_scale.learned(scale[number], likelihoods(cloud, seen, factor))
             state = replace(state, scale=scale)
-            white = noise_scale.expected(scale[number]) * np.array([reading.sigma**2, blur2])
-        rows, weight, after = np.empty_like(cloud.rows), np.empty_like(cloud.weight), np.empty_like(bad)
-        white[1] += ground2
+        return self._weighed(state, cloud, seen), innovation
+
+    def _weighed(self, state: MarginalizedState, cloud: Cloud, seen: Seen) -> MarginalizedState:
+        """The state after a reading; as it was where the reading contradicts every particle."""
+        rows, weight = np.empty_like(cloud.rows), np.empty_like(cloud.weight)
+        bad, after = np.ascontiguousarray(cloud.bad[:, seen.number]), np.empty_like(cloud.weight)
+        white = noise_scale.expected(state.scale[seen.number]) * seen.told
+        white[1] += GROUND * cloud.spacing_m**2
         likely, _, shrink, widen = kernels.weigh(
-            cloud.rows, cloud.weight, bad, residual, slope2, white, both, reach, gain, rows, weight, after
-        )
+            cloud.rows, cloud.weight, bad, seen.residual, seen.slope2, white, seen.common, seen.reach, seen.gain,
+            rows, weight, after,
+        )  # fmt: skip
         if likely <= 0.0:
-            return state, innovation
+            return state
         regimes = cloud.bad.copy()
-        regimes[:, number] = after
-        common = cloud.common - (shrink - widen) * np.outer(gain, gain)
-        before, cloud = cloud, replace(cloud, rows=rows, weight=weight, bad=regimes, common=common)
-        mean_now, cov_now = kernels.moments(rows, weight)
-        cloud = replace(cloud, mean=mean_now, cov=cov_now)
-        state = replace(state, cloud=cloud, mean=mean_now, cov=cov_now + common)
+        regimes[:, seen.number] = after
+        common = cloud.common - (shrink - widen) * np.outer(seen.gain, seen.gain)
+        mean, cov = kernels.moments(rows, weight)
+        now = Cloud(rows, weight, regimes, common, mean, cov, cloud.spacing_m)
+        state = replace(state, cloud=now, mean=mean, cov=cov + common)
         if self.adapt_walk:
-            plane = linearised(before.rows, weight, residual, bias)  # the residuals are of the rows before
+            plane = linearised(cloud.rows, weight, seen.residual, seen.bias)  # residuals are of the rows before
             noise = float(white[0] + plane[5])
-            state = replace(state, walk=self._wandered(state, plane, number, noise, reach))
-        return state, innovation
+            state = replace(state, walk=self._wandered(state, plane, seen.number, noise, seen.reach))
+        return state
 
     def _wandered(
         self, state: MarginalizedState, plane: FloatArray, number: int, noise: float, reach: float
