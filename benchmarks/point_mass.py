@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, map_coordinates
 
-from benchmarks.timing import Row, least_ns
+from benchmarks.timing import Peer, Row, least_ns
 from terranav.filters.pointmass import gaussian_taps
 from terranav.kernels.grid import diffuse, measure, weigh
-from terranav.kernels.sampling import bilinear_lattice
+from terranav.kernels.lattice import bilinear_lattice
 from terranav.maps.sample_dem import sample_map
 
 FloatArray = NDArray[np.float64]
@@ -46,4 +46,4 @@ def rows() -> list[Row]:
 
     np.testing.assert_allclose(ours(), peer(), rtol=1e-5, atol=1e-3)
     least = least_ns({"ours": ours, "peer": peer}, size * size, repeats=15)
-    return [Row("point-mass step, 201 x 201", "cell", least["ours"], "scipy/numpy", least["peer"], 1.0)]
+    return [Row("point-mass step, 201 x 201", "cell", least["ours"], (Peer("scipy/numpy", least["peer"], 1.0),))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from benchmarks.timing import Row, least_ns
+from benchmarks.timing import Peer, Row, least_ns
 from terranav.kernels.sampling import bicubic, bilinear
 
 
@@ -35,6 +35,13 @@ def rows() -> list[Row]:
         repeats=5,
     )
     return [
-        Row("bilinear sample, 1e6 points", "point", linear["ours"], "scipy map_coordinates", linear["peer"], 1.0),
-        Row("bicubic sample, 1e6 points", "point", smooth["ours"], "scipy map_coordinates", smooth["peer"], 1.2),
+        Row(
+            "bilinear sample, 1e6 points",
+            "point",
+            linear["ours"],
+            (Peer("scipy map_coordinates", linear["peer"], 1.0),),
+        ),
+        Row(
+            "bicubic sample, 1e6 points", "point", smooth["ours"], (Peer("scipy map_coordinates", smooth["peer"], 1.2),)
+        ),
     ]

@@ -8,19 +8,63 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Peer:
+    """Another program that did the same work in the same process.
+
+    Attributes
+    ----------
+    name : str
+    ns : float
+        Its time per unit of work [ns].
+    goal : float
+        How many times faster terranav means to be; 0 where nothing is claimed.
+    """
+
+    name: str
+    ns: float
+    goal: float = 0.0
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The least time that the machine allows for the work, from figures measured in the same run (`limits`).
+
+    Attributes
+    ----------
+    name : str
+        What sets it.
+    ns : float
+        Per unit of work [ns].
+    goal : float
+        How many times longer terranav means to take at most; 0 where nothing is claimed.
+    """
+
+    name: str
+    ns: float
+    goal: float = 0.0
+
+
+@dataclass(frozen=True)
 class Row:
-    """One line of the table."""
+    """One line of the table: terranav beside its peers and beside the machine.
+
+    Attributes
+    ----------
+    work : str
+    per : str
+        The unit of work: 'cell', 'particle', 'point'.
+    ns : float
+        terranav's time per unit [ns].
+    peers : tuple of Peer
+        Empty where none is installed.
+    limit : Limit or None
+    """
 
     work: str
     per: str
-    ours_ns: float
-    peer: str
-    peer_ns: float
-    least_ratio: float
-
-    @property
-    def ratio(self) -> float:
-        return self.peer_ns / self.ours_ns
+    ns: float
+    peers: tuple[Peer, ...] = ()
+    limit: Limit | None = None
 
 
 def least_ns(calls: Mapping[str, Callable[[], object]], units: int, repeats: int = 9) -> dict[str, float]:

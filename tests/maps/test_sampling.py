@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 
-from terranav.kernels import sampling
+from terranav.kernels import lattice, sampling
 
 KERNELS = {"bilinear": sampling.bilinear, "bicubic": sampling.bicubic}
 ROWS, COLS = 9, 12
@@ -123,7 +123,7 @@ def test_a_lattice_is_its_points(row6: NDArray[np.float64], col6: NDArray[np.flo
         values[35:45, 48:60] = np.nan
     north, east = np.arange(-1000.0, 1001.0, 50.0), np.arange(-1500.0, 1501.0, 50.0)
     out = np.empty((north.size, east.size))
-    sampling.bilinear_lattice(values, row6, col6, north, east, out)
+    lattice.bilinear_lattice(values, row6, col6, north, east, out)
     n, e = north[:, None], east[None]
     terms = np.stack(np.broadcast_arrays(1.0, n, e, n * n, n * e, e * e))
     expected = at("bilinear", values, np.tensordot(row6, terms, 1), np.tensordot(col6, terms, 1))
@@ -133,7 +133,7 @@ def test_a_lattice_is_its_points(row6: NDArray[np.float64], col6: NDArray[np.flo
 
 SCRIPT = """
 import numpy as np
-from terranav.kernels import sampling
+from terranav.kernels import lattice, sampling
 rng = np.random.default_rng(4)
 values = rng.normal(size=(20, 30)).astype(np.float32)
 values[7, 9] = np.nan
@@ -143,7 +143,7 @@ for kernel in (sampling.bilinear, sampling.bicubic):
     print(*out.round(9) + 0.0)
 grid, axis = np.empty((9, 9)), np.linspace(-9.0, 9.0, 9)
 frame = np.array([9.0, -1.0, 0.1, 1e-3, 0.0, 0.0]), np.array([14.0, 0.1, 1.0, 0.0, 1e-3, 0.0])
-sampling.bilinear_lattice(values, *frame, axis, axis, grid)
+lattice.bilinear_lattice(values, *frame, axis, axis, grid)
 print(*grid.ravel().round(9) + 0.0)
 """
 

@@ -38,7 +38,8 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.records import Epoch, Estimate, Measurement
 from terranav.filters.pointmass import RESOLVE, Grid, PointMass, PointMassState, Update, gaussian_taps
 from terranav.kernels.grid import diffuse
-from terranav.kernels.sampling import bicubic, bilinear_lattice
+from terranav.kernels.lattice import bilinear_lattice
+from terranav.kernels.sampling import bicubic
 from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]

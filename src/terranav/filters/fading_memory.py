@@ -42,7 +42,7 @@ from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._fading_surface import Memory, reframed
 from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.fading_memory import log_posterior, moments, recall
-from terranav.kernels.sampling import bilinear_lattice
+from terranav.kernels.lattice import bilinear_lattice
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
 

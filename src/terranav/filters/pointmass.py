@@ -20,7 +20,7 @@ from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.grid import FLOOR, diffuse, measure, resample, weigh
-from terranav.kernels.sampling import bilinear_lattice
+from terranav.kernels.lattice import bilinear_lattice
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
 

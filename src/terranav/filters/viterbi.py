@@ -45,7 +45,7 @@ from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._backpointers import History, Origins
 from terranav.filters._maps import one_map_a_kind
 from terranav.kernels import viterbi as kernel
-from terranav.kernels.sampling import bilinear_lattice
+from terranav.kernels.lattice import bilinear_lattice
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
 

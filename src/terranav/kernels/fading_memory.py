@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from terranav.kernels.jit import jit
-from terranav.kernels.sampling import bilinear_lattice
+from terranav.kernels.lattice import bilinear_lattice
 
 FINEST = 16  # parts per axis into which a cell is cut at most
 MOST_PARTS = 400_000  # of all cells that are cut

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from terranav.kernels.jit import jit
-from terranav.kernels.sampling import bilinear_lattice
+from terranav.kernels.lattice import bilinear_lattice
 
 
 @jit

@@ -1,0 +1,106 @@
+"""The table of all benchmarks: as lines of text, as JSON, and what falls short of what it is held to."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Iterable
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any
+
+from benchmarks.timing import Row
+
+SLACK = 0.7  # a ratio may fall to this share of its goal on a busy machine before it counts as lost
+LIBRARIES = ("numpy", "scipy", "numba", "stonesoup", "filterpy", "contourpy")
+
+
+def names() -> list[str]:
+    """Benchmarks by name: the modules beside this one that have rows()."""
+    here = import_module(__package__)
+    found = sorted(module.name for module in iter_modules(here.__path__) if not module.name.startswith("_"))
+    return [name for name in found if hasattr(import_module(f"{__package__}.{name}"), "rows")]
+
+
+def rows_of(name: str) -> list[Row]:
+    """Run one benchmark."""
+    rows: list[Row] = import_module(f"{__package__}.{name}").rows()
+    return rows
+
+
+def lines(row: Row) -> list[str]:
+    """A row as text: a line for each peer and one for the machine's limit."""
+    said = [f"{row.work:46}{time_said(row.ns):>11} a {row.per}"]
+    for peer in row.peers:
+        goal = f"  (goal {peer.goal:g}x)" if peer.goal else ""
+        said.append(f"    {peer.ns / row.ns:7.1f}x  {peer.name}, {time_said(peer.ns)}{goal}")
+    if row.limit is not None:
+        goal = f"  (goal {row.limit.goal:g}x)" if row.limit.goal else ""
+        said.append(
+            f"    {row.ns / row.limit.ns:7.2f}x  above the limit, {row.limit.name}, {time_said(row.limit.ns)}{goal}"
+        )
+    return said
+
+
+def time_said(ns: float) -> str:
+    """A time in the unit that suits it."""
+    for unit, size in (("s", 1e9), ("ms", 1e6), ("us", 1e3)):
+        if ns >= size:
+            return f"{ns / size:.3g} {unit}"
+    return f"{ns:.3g} ns"
+
+
+def short(row: Row) -> list[str]:
+    """What a row misses of its goals, beyond the slack."""
+    lost = [
+        f"{row.work}: {peer.ns / row.ns:.1f}x {peer.name}, held to {SLACK * peer.goal:.1f}x"
+        for peer in row.peers
+        if peer.ns / row.ns < SLACK * peer.goal
+    ]
+    limit = row.limit
+    if limit is not None and limit.goal and row.ns / limit.ns > limit.goal / SLACK:
+        lost.append(f"{row.work}: {row.ns / limit.ns:.2f}x the limit, held to {limit.goal / SLACK:.2f}x")
+    return lost
+
+
+def as_json(rows: Iterable[Row]) -> str:
+    """Rows with the machine and the libraries that they were measured with."""
+    return json.dumps({"machine": machine(), "rows": [_entry(row) for row in rows]}, indent=1)
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores, interpreter and libraries."""
+    libraries = {}
+    for name in LIBRARIES:
+        try:
+            libraries[name] = version(name)
+        except PackageNotFoundError:
+            libraries[name] = "not installed"
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "libraries": libraries,
+    }
+
+
+def _processor() -> str:
+    described = Path("/proc/cpuinfo")
+    if described.is_file():
+        for line in described.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _entry(row: Row) -> dict[str, Any]:
+    entry: dict[str, Any] = {"work": row.work, "per": row.per, "ns": row.ns, "peers": []}
+    for peer in row.peers:
+        entry["peers"].append({"name": peer.name, "ns": peer.ns, "ratio": peer.ns / row.ns, "goal": peer.goal})
+    if row.limit is not None:
+        limit = row.limit
+        entry["limit"] = {"name": limit.name, "ns": limit.ns, "times": row.ns / limit.ns, "goal": limit.goal}
+    return entry
