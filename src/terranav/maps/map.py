@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from terranav.core.checks import finite
-from terranav.core.earth import shift, wrap_longitude
+from terranav.core.earth import shift
 from terranav.core.errors import ConfigError, DataError
 from terranav.core.kinds import kind_named
-from terranav.maps.crs import Projection, projection
-from terranav.maps.frame import LocalFrame, fitted_frame, geographic_frame
+from terranav.maps.frame import LocalFrame
+from terranav.maps.georeference import Georeference
 
 FloatArray = NDArray[np.float64]
 Method = Literal["bilinear", "bicubic"]
@@ -80,14 +80,8 @@ class Map:
             raise DataError(f"{self.name}: every cell of the map is void, expected values")
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
-        transform = tuple(float(number) for number in self.transform)
-        if len(transform) != 6 or not np.isfinite(transform).all() or self._determinant(transform) == 0.0:
-            raise DataError(
-                f"{self.name}: map transform is {self.transform!r}, expected six numbers of an invertible affine"
-            )
-        object.__setattr__(self, "transform", transform)
         try:
-            _ = self._projection
+            object.__setattr__(self, "transform", self._place.transform)
         except DataError as error:
             raise DataError(f"{self.name}: {error}") from None
 
@@ -102,44 +96,20 @@ class Map:
         rows, cols = self.shape
         return f"<Map {self.name!r}: {self.kind} [{self.unit}], {rows} x {cols} cells of {self.cell_m:.0f} m>"
 
-    @staticmethod
-    def _determinant(transform: tuple[float, ...]) -> float:
-        return transform[0] * transform[4] - transform[1] * transform[3]
+    @cached_property
+    def _place(self) -> Georeference:
+        return Georeference(self.shape, self.transform, self.crs)
 
     @property
-    def _projection(self) -> Projection:
-        return projection(self.crs)
-
-    @cached_property
-    def _inverse(self) -> tuple[float, float, float, float, float, float]:
-        """(col, row) of cell centres from (x, y): col = i0 x + i1 y + i2, row = i3 x + i4 y + i5."""
-        a, b, c, d, e, f = self.transform
-        det = self._determinant(self.transform)
-        return e / det, -b / det, (b * f - c * e) / det - 0.5, -d / det, a / det, (c * d - a * f) / det - 0.5
-
-    @cached_property
-    def _centre_xy(self) -> tuple[float, float]:
-        x, y = self._xy(0.5 * (self.shape[0] - 1), 0.5 * (self.shape[1] - 1))
-        return float(x), float(y)
-
-    @cached_property
     def centre_deg(self) -> tuple[float, float]:
         """Latitude and longitude of the middle of the map [deg]."""
-        x, y = self._centre_xy
-        lat, lon = self._projection.inverse(np.array([x]), np.array([y]))
-        return float(lat[0]), float(wrap_longitude(lon[0]))
+        return self._place.centre_deg
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         rows, cols = self.values.shape
         return rows, cols
-
-    def _xy(self, row: ArrayLike, col: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Map coordinates of fractional rows and columns in cell centres."""
-        a, b, c, d, e, f = self.transform
-        y, x = np.asarray(row, dtype=np.float64) + 0.5, np.asarray(col, dtype=np.float64) + 0.5
-        return a * x + b * y + c, d * x + e * y + f
 
     def cells(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Fractional rows and columns of positions, (0.0, 0.0) being the centre of the first cell.
@@ -154,13 +124,7 @@ class Map:
         row, col : ndarray [cells]
             Not finite where the projection knows no such place.
         """
-        lat, lon = np.broadcast_arrays(np.asarray(lat_deg, dtype=np.float64), np.asarray(lon_deg, dtype=np.float64))
-        x, y = (np.asarray(axis) for axis in self._projection.forward(lat, lon))
-        if self._projection.geographic:
-            x = self._centre_xy[0] + wrap_longitude(x - self._centre_xy[0])
-        i = self._inverse
-        with np.errstate(invalid="ignore"):  # PROJ marks places without an image by infinity
-            return np.asarray(i[3] * x + i[4] * y + i[5]), np.asarray(i[0] * x + i[1] * y + i[2])
+        return self._place.cells(lat_deg, lon_deg)
 
     def sample(self, lat_deg: ArrayLike, lon_deg: ArrayLike, method: Method = "bilinear") -> FloatArray:
         """Values of the field at positions.
@@ -236,37 +200,25 @@ class Map:
         radius_m : float [m]
             How far from the place it will be used.
         """
-        if self._projection.plain:
-            middle = self._centre_xy[0]
-            return geographic_frame(lat_deg, middle + (lon_deg - middle + 180.0) % 360.0 - 180.0, self._inverse)
-        return fitted_frame(lat_deg, lon_deg, 0.75 * radius_m, self.cells)
+        return self._place.local_frame(lat_deg, lon_deg, radius_m)
 
-    @cached_property
+    @property
     def cell_m(self) -> float:
         """Geometric mean of a cell's two sides in the middle of the map [m]."""
-        frame = self.local_frame(*self.centre_deg, radius_m=100.0)
-        return float(abs(frame.row[1] * frame.col[2] - frame.row[2] * frame.col[1]) ** -0.5)
+        return self._place.cell_m
 
     @property
     def error_length_m(self) -> float:
         """Correlation length of the map error [m]."""
         return CORRELATION_CELLS * self.cell_m if self.correlation_m is None else self.correlation_m
 
-    @cached_property
+    @property
     def bounds_deg(self) -> tuple[float, float, float, float]:
         """South, west, north, east of the hull of the cell centres [deg].
 
         West is in [-180, 180); east is greater than west, beyond 180 on a map that crosses the antimeridian.
         """
-        rows, cols = self.shape
-        t = np.linspace(0.0, 1.0, 41)
-        row = np.concatenate([0.0 * t, t, 0.0 * t + 1.0, t]) * (rows - 1)
-        col = np.concatenate([t, 0.0 * t + 1.0, t, 0.0 * t]) * (cols - 1)
-        lat, lon = self._projection.inverse(*self._xy(row, col))
-        middle = self._centre_xy[0] if self._projection.plain else self.centre_deg[1]
-        away = lon - middle if self._projection.plain else wrap_longitude(lon - middle)
-        west = float(wrap_longitude(middle + away.min()))
-        return float(lat.min()), west, float(lat.max()), west + float(away.max() - away.min())
+        return self._place.bounds_deg
 
     def crop(self, south_deg: float, west_deg: float, north_deg: float, east_deg: float) -> Map:
         """The part of the map whose cell centres enclose a box; the same values at the same places.
@@ -281,24 +233,12 @@ class Map:
         DataError
             The box has no area or misses the map.
         """
-        box = f"({south_deg:g}, {west_deg:g}, {north_deg:g}, {east_deg:g})"
-        width = (east_deg - west_deg) % 360.0 or 360.0 * (east_deg != west_deg)
-        if not (north_deg > south_deg and width > 0.0):
-            raise DataError(f"{self.name}: box {box} has no area, expected south < north and west < east")
-        t = np.linspace(0.0, 1.0, 21)
-        lat, lon = np.meshgrid(south_deg + t * (north_deg - south_deg), west_deg + t * width)
-        row, col = self.cells(lat, lon)
-        known = np.isfinite(row) & np.isfinite(col)
-        window = [_window(position[known], size) for position, size in zip((row, col), self.shape)]
+        try:
+            window = self._place.window(south_deg, west_deg, north_deg, east_deg)
+        except DataError as error:
+            raise DataError(f"{self.name}: {error}") from None
         (r0, r1), (c0, c1) = window
-        if r1 - r0 < 2 or c1 - c0 < 2:
-            south, west, north, east = self.bounds_deg
-            raise DataError(
-                f"{self.name}: box {box} misses the map, which spans ({south:.4f}, {west:.4f}, {north:.4f}, {east:.4f})"
-            )
-        a, b, c, d, e, f = self.transform
-        moved = (a, b, c + a * c0 + b * r0, d, e, f + d * c0 + e * r0)
-        return replace(self, values=self.values[r0:r1, c0:c1], transform=moved)
+        return replace(self, values=self.values[r0:r1, c0:c1], transform=self._place.cropped(window).transform)
 
     @cached_property
     def checksum(self) -> str:
@@ -312,10 +252,3 @@ class Map:
         from terranav.maps.info import describe
 
         return describe(self)
-
-
-def _window(position: FloatArray, size: int) -> tuple[int, int]:
-    """First and past-the-last index of the cells that enclose positions, within the map."""
-    if not position.size:
-        return 0, 0
-    return max(int(np.floor(position.min() + 1e-6)), 0), min(int(np.ceil(position.max() - 1e-6)) + 1, size)
