@@ -5,9 +5,20 @@ from __future__ import annotations
 import numba
 
 
-def jit(function):
-    """Compile a module-level kernel with numba; without a writable cache folder it is compiled anew each process."""
+def jit(function=None, *, fastmath=False):
+    """Compile a module-level kernel with numba; without a writable cache folder it is compiled anew each process.
+
+    Parameters
+    ----------
+    function : callable
+    fastmath : bool or set of str
+        Freedoms of the compiler, with a reason beside it: {"contract", "reassoc"} lets it take a sum in several lanes
+        (the same ones each time); NaN and infinity keep their meaning.
+    """
+    if function is None:
+        return lambda one: jit(one, fastmath=fastmath)
+    told = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        return numba.njit(cache=True, **told)(function)
     except RuntimeError:  # numba: "no locator available", neither the package nor the user cache can be written
-        return numba.njit(nogil=True, error_model="numpy")(function)
+        return numba.njit(**told)(function)
