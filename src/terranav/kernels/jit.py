@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numba
 
 
-def jit(function=None, *, fastmath=False):
+def jit(function=None, **options):
     """Compile a module-level kernel with numba; without a writable cache folder it is compiled anew each process.
 
-    Parameters
-    ----------
-    function : callable
-    fastmath : bool or set of str
-        Freedoms of the compiler, with a reason beside it: {"contract", "reassoc"} lets it take a sum in several lanes
-        (the same ones each time); NaN and infinity keep their meaning.
+    As `@jit(...)` it takes numba's options too: `forceinline=True` for a function that is too long to be laid open in
+    its caller's loop unasked, without which that loop stays off the vector registers.
     """
     if function is None:
-        return lambda one: jit(one, fastmath=fastmath)
-    told = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
+        return partial(jit, **options)
     try:
-        return numba.njit(cache=True, **told)(function)
+        return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
     except RuntimeError:  # numba: "no locator available", neither the package nor the user cache can be written
-        return numba.njit(**told)(function)
+        return numba.njit(nogil=True, error_model="numpy", **options)(function)
