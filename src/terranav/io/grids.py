@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,10 @@ from numpy.typing import NDArray
 
 from terranav.core.checks import nearest_name
 from terranav.core.errors import DataError
+from terranav.core.memory import need
+from terranav.maps.georeference import Transform, Window
 
-Transform = tuple[float, float, float, float, float, float]
+STRIP_CELLS = 2**20  # cells that are read at once
 
 _LONGITUDE = frozenset({"lon", "lons", "longitude", "degrees_east", "degree_east", "degree_e", "degrees_e"})
 _LATITUDE = frozenset({"lat", "lats", "latitude", "degrees_north", "degree_north", "degree_n", "degrees_n"})
@@ -23,14 +27,16 @@ _UNEVEN = 0.02  # of a cell: what axes stored in single precision are off
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """What a reader finds in a file.
+    """What a reader finds in a file before it reads the values.
 
     Attributes
     ----------
-    values : (rows, cols) float
-        As stored, scale and offset applied, NaN where void.
+    shape : (rows, cols)
     transform : 6 floats
         As in `Map`.
+    read : function of (window, factor)
+        ((first row, past the last), (first column, past the last)) -> the values of these cells as stored, scale and
+        offset applied, times factor, NaN where void: (rows, cols) float32.
     crs : str or None
         None where the file says nothing.
     unit : str
@@ -41,12 +47,31 @@ class Grid:
         The file says that its values are depths.
     """
 
-    values: NDArray[Any]
+    shape: tuple[int, int]
     transform: Transform
+    read: Callable[[Window, float], NDArray[np.float32]]
     crs: str | None = None
     unit: str = ""
     datum: str | None = None
     positive_down: bool = False
+
+
+def in_strips(window: Window, part: Callable[[int, int], NDArray[Any]], factor: float) -> NDArray[np.float32]:
+    """The values of a window, read some rows at a time, so that little more memory is taken than they fill.
+
+    Parameters
+    ----------
+    window : as of `Grid.read`
+    part : function of (first row, past the last) that gives (rows, cols of the window)
+    factor : float
+    """
+    (first, last), (west, east) = window
+    out = np.empty((last - first, east - west), np.float32)
+    step = max(STRIP_CELLS // (east - west), 1)
+    for row in range(first, last, step):
+        past = min(row + step, last)
+        out[row - first : past - first] = part(row, past) * factor
+    return out
 
 
 def is_netcdf(file: Path) -> bool:
@@ -64,19 +89,27 @@ def read_grid(file: Path, variable: str | None) -> Grid:
     DataError
         Not readable, no such variable or several to choose from, axes missing or uneven.
     """
+    with _opened(file) as data:
+        if {"x_range", "y_range", "dimension", "z"} <= set(data.variables):
+            return _read_gmt3(file, data)
+        return _read_cf(file, data, variable)
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Any]:
+    """The dataset of a file; what its readers raise is a DataError."""
     import xarray as xr
 
     with file.open("rb") as stream:
         engine: Any = {"engine": "scipy", "mmap": False} if stream.read(3) == b"CDF" else {"engine": "h5netcdf"}
+    if engine["engine"] == "scipy":  # reads everything as it opens
+        need(2.0 * file.stat().st_size, f"{file}: a classic NetCDF file, read whole")
     try:
         with xr.open_dataset(file, decode_times=False, **engine) as data:
-            data.load()
+            yield data
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError) as error:
         reason = " ".join(str(error).split())[:200]
         raise DataError(f"{file}: not a readable NetCDF grid ({reason}), expected a GMT or CF grid") from None
-    if {"x_range", "y_range", "dimension", "z"} <= set(data.variables):
-        return _read_gmt3(file, data)
-    return _read_cf(file, data, variable)
 
 
 def _read_gmt3(file: Path, data: Any) -> Grid:
@@ -94,18 +127,18 @@ def _read_gmt3(file: Path, data: Any) -> Grid:
     transform = (float(dx), 0.0, float(west - half * dx), 0.0, float(-dy), float(north + half * dy))
     lonlat = _says(data["x_range"], _LONGITUDE) and _says(data["y_range"], _LATITUDE)
     unit = str(data["z_range"].attrs.get("units", "")) if "z_range" in data else ""
-    return Grid(z.values.reshape(rows, cols), transform, "EPSG:4326" if lonlat else None, unit)
+    values = z.values.reshape(rows, cols)
+
+    def read(window: Window, factor: float) -> NDArray[np.float32]:
+        west, east = window[1]
+        return in_strips(window, lambda row, past: values[row:past, west:east], factor)
+
+    return Grid((rows, cols), transform, read, "EPSG:4326" if lonlat else None, unit)
 
 
 def _read_cf(file: Path, data: Any, variable: str | None) -> Grid:
     """Grid with one axis per dimension, in either order and either direction."""
-    z = _pick(file, data, variable)
-    while z.ndim > 2 and 1 in z.shape:
-        z = z.isel({z.dims[z.shape.index(1)]: 0})
-    if z.ndim != 2:
-        raise DataError(f"{file}: variable {z.name!r} has {z.ndim} dimensions, expected 2 (rows and columns)")
-    if _says(_axis(file, z, z.dims[0]), _ACROSS):
-        z = z.transpose()
+    z = _plane(file, data, variable)
     if min(z.shape) < 2:
         raise DataError(f"{file}: map of {z.shape[0]} x {z.shape[1]} cells, expected at least 2 rows and 2 columns")
     y_axis, x_axis = (_axis(file, z, dim) for dim in z.dims)
@@ -113,13 +146,31 @@ def _read_cf(file: Path, data: Any, variable: str | None) -> Grid:
     crs = _stated_crs(data, z)
     if crs is None and _says(x_axis, _LONGITUDE) and _says(y_axis, _LATITUDE):
         crs = "EPSG:4326"
+
+    def read(window: Window, factor: float) -> NDArray[np.float32]:
+        west, east = window[1]
+        with _opened(file) as again:
+            plane = _plane(file, again, variable)
+            return in_strips(window, lambda row, past: plane[row:past, west:east].values, factor)
+
     return Grid(
-        values=z.values,
+        shape=(z.shape[0], z.shape[1]),
+        read=read,
         transform=(dx, 0.0, x0 - 0.5 * dx, 0.0, dy, y0 - 0.5 * dy),
         crs=crs,
         unit=str(z.attrs.get("units", "")),
         positive_down=str(z.attrs.get("positive", "")).lower() == "down",
     )
+
+
+def _plane(file: Path, data: Any, variable: str | None) -> Any:
+    """The variable in two dimensions, the one across last; its values are not read yet."""
+    z = _pick(file, data, variable)
+    while z.ndim > 2 and 1 in z.shape:
+        z = z.isel({z.dims[z.shape.index(1)]: 0})
+    if z.ndim != 2:
+        raise DataError(f"{file}: variable {z.name!r} has {z.ndim} dimensions, expected 2 (rows and columns)")
+    return z.transpose() if _says(_axis(file, z, z.dims[0]), _ACROSS) else z
 
 
 def _pick(file: Path, data: Any, variable: str | None) -> Any:

@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terranav.core.errors import ConfigError, DataError, DataWarning
 from terranav.core.kinds import kind_named
+from terranav.core.memory import need
 from terranav.io.files import existing_file
-from terranav.io.grids import Grid, Transform, is_netcdf, read_grid
+from terranav.io.grids import Grid, in_strips, is_netcdf, read_grid
 from terranav.io.units import unit_factor
+from terranav.maps.georeference import Georeference, Transform, Window
 from terranav.maps.info import suspicions
 from terranav.maps.map import Map
+
+Box = tuple[float, float, float, float]
 
 #: 1-sigma map error taken where the user states none: SRTM and national terrain models (m), GEBCO-like relief off the
 #: sounded tracks of the open sea (m), satellite gravity (mGal), and magnetic compilations (nT).
 DEFAULT_SIGMA = {"terrain": 3.0, "bathymetry": 10.0, "gravity": 2.0, "magnetic": 20.0}
+
+CELL_BYTES = 12  # that opening takes for each cell at its most: the value, and what looks it over
 
 _WHAT = "a map raster"
 _DATUMS = {"E96": "EGM96", "E08": "EGM2008", "MSL": "mean sea level"}  # DTED's codes
@@ -37,6 +47,7 @@ def open_map(
     unit: str | None = None,
     positive_down: bool = False,
     name: str | None = None,
+    box: Box | None = None,
 ) -> Map:
     """Read a map from a file.
 
@@ -65,6 +76,9 @@ def open_map(
         The values are depths: negate them. NetCDF's attribute positive = "down" does the same.
     name : str, optional
         What to call the map; by default the file's name.
+    box : (south, west, north, east), optional
+        Read only the cells whose centres enclose this box, as `Map.crop` would cut them out [deg]; memory is taken for
+        these alone. East below west means a box across the antimeridian.
 
     Returns
     -------
@@ -73,17 +87,13 @@ def open_map(
     Raises
     ------
     DataError
-        The file is missing, empty, not a raster, or without what a map needs.
+        The file is missing, empty, not a raster, without what a map needs, or beside the box.
     ConfigError
-        Unknown kind or unit, negative sigma.
+        Unknown kind or unit, negative sigma, or a map that does not fit into the memory.
     """
     kind_row = kind_named(kind)
     file = existing_file(path, _WHAT)
-    grid = (
-        read_grid(file, None if variable is None else str(variable))
-        if is_netcdf(file)
-        else _read_raster(file, variable)
-    )
+    grid = _grid(file, variable)
     if crs is None and grid.crs is None:
         raise DataError(
             f"{file}: states no CRS and its axes are not longitude and latitude, expected crs= (e.g. 'EPSG:4326')"
@@ -93,11 +103,18 @@ def open_map(
     if positive_down or grid.positive_down:
         factor = -factor
     label = name or file.name
-    try:
+    with _named(file, label):
+        place = Georeference(grid.shape, grid.transform, crs or str(grid.crs))
+        window = ((0, grid.shape[0]), (0, grid.shape[1])) if box is None else place.window(*box)
+        place = place.cropped(window)
+    need(CELL_BYTES * math.prod(place.shape), f"{file}: map of {place.shape[0]} x {place.shape[1]} cells")
+    values = grid.read(window, factor)
+    values.setflags(write=False)  # the map may keep it without a copy
+    with _named(file, label):
         result = Map(
-            values=(grid.values * factor).astype(np.float32),
-            transform=grid.transform,
-            crs=crs or str(grid.crs),
+            values=values,
+            transform=place.transform,
+            crs=place.crs,
             kind=kind,
             unit=kind_row.unit,
             sigma=DEFAULT_SIGMA[kind] if sigma is None else sigma,
@@ -106,15 +123,57 @@ def open_map(
             name=label,
             correlation_m=correlation_m,
         )
-    except (DataError, ConfigError) as error:
-        raise type(error)(f"{file}: {str(error).removeprefix(f'{label}: ')}") from None
     for doubt in (*doubts, *(f"{file}: {text}" for text in suspicions(result.values, kind))):
         warnings.warn(doubt, DataWarning, stacklevel=2)
     return result
 
 
+def cell_count(path: str | Path, variable: str | int | None = None) -> int:
+    """How many cells the map of a file has; its values are not read. The errors are those of `open_map`."""
+    return math.prod(_grid(existing_file(path, _WHAT), variable).shape)
+
+
+def _grid(file: Path, variable: str | int | None) -> Grid:
+    """What is in a file."""
+    if is_netcdf(file):
+        return read_grid(file, None if variable is None else str(variable))
+    return _read_raster(file, variable)
+
+
+@contextmanager
+def _named(file: Path, label: str) -> Iterator[None]:
+    """What is wrong with a map names its file."""
+    try:
+        yield
+    except (DataError, ConfigError) as error:
+        raise type(error)(f"{file}: {str(error).removeprefix(f'{label}: ')}") from None
+
+
 def _read_raster(file: Path, variable: str | int | None) -> Grid:
-    """Read one band of a GDAL raster."""
+    """What one band of a GDAL raster is."""
+    with _opened(file) as raster:
+        band = _band(file, raster, variable)
+        crs, datum = _crs_and_datum(file, raster)
+        scale, offset, unit = raster.scales[band - 1], raster.offsets[band - 1], raster.units[band - 1] or ""
+        shape, transform = (raster.height, raster.width), _transform(file, raster)
+
+    def read(window: Window, factor: float) -> NDArray[np.float32]:
+        with _opened(file) as again:
+
+            def part(row: int, past: int) -> NDArray[np.float64]:
+                rows = ((row, past), window[1])
+                values: NDArray[np.float64] = again.read(band, window=rows).astype(np.float64) * scale + offset
+                values[again.read_masks(band, window=rows) == 0] = np.nan
+                return values
+
+            return in_strips(window, part, factor)
+
+    return Grid(shape, transform, read, crs, unit, datum)
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Any]:
+    """A raster; what GDAL raises is a DataError."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
@@ -123,11 +182,7 @@ def _read_raster(file: Path, variable: str | int | None) -> Grid:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(file) as raster:
-                band = _band(file, raster, variable)
-                values = raster.read(band).astype(np.float64) * raster.scales[band - 1] + raster.offsets[band - 1]
-                values[raster.read_masks(band) == 0] = np.nan
-                crs, datum = _crs_and_datum(file, raster)
-                return Grid(values, _transform(file, raster), crs, raster.units[band - 1] or "", datum)
+                yield raster
     except (RasterioError, OSError) as error:
         reason = " ".join(str(error).replace(f"'{file}'", "it").replace(str(file), "it").split())[:200]
         raise DataError(f"{file}: not a readable raster ({reason}), expected {_WHAT}{_hgt_hint(file)}") from None

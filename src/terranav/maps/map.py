@@ -32,7 +32,8 @@ class Map:
     Attributes
     ----------
     values : (rows, cols) float32, read-only
-        In `unit`; NaN where void. At least 2 x 2, at least one cell not void. Stored as a copy.
+        In `unit`; NaN where void. At least 2 x 2, at least one cell not void. Stored as a copy, unless it is float32,
+        owns its memory and is read-only already.
     transform : 6 floats
         (a, b, c, d, e, f) as in rasterio: at the centre of cell (row, col) x = a (col + 0.5) + b (row + 0.5) + c and
         y = d (col + 0.5) + e (row + 0.5) + f.
@@ -71,11 +72,10 @@ class Map:
         object.__setattr__(self, "sigma", finite(f"{self.name}: map sigma", self.sigma, minimum=0.0))
         if self.correlation_m is not None:
             finite(f"{self.name}: map correlation_m", self.correlation_m, above=0.0)
-        values = np.array(self.values, dtype=np.float32, order="C")
+        values = _kept(self.values)
         if values.ndim != 2 or min(values.shape) < 2:
             shape = " x ".join(str(size) for size in values.shape)
             raise DataError(f"{self.name}: map of {shape} cells, expected at least 2 rows and 2 columns")
-        values[~np.isfinite(values)] = np.nan
         if np.isnan(values).all():
             raise DataError(f"{self.name}: every cell of the map is void, expected values")
         values.setflags(write=False)
@@ -252,3 +252,13 @@ class Map:
         from terranav.maps.info import describe
 
         return describe(self)
+
+
+def _kept(given: NDArray[Any]) -> NDArray[np.float32]:
+    """Values that nobody else writes to: a copy, unless they are closed already; what is infinite is void."""
+    whole = isinstance(given, np.ndarray) and given.flags.owndata and given.flags.c_contiguous
+    if whole and given.dtype == np.float32 and not given.flags.writeable and not np.isinf(given).any():
+        return given
+    values = np.array(given, dtype=np.float32, order="C")
+    values[np.isinf(values)] = np.nan
+    return values
