@@ -102,6 +102,24 @@ def test_voids_poison_only_where_they_weigh(method: str) -> None:
     assert np.isnan(at(method, values, [4.0, 3.5, 4.4, 4.0], [5.0, 4.5, 5.4, 5.3])).all()
 
 
+@pytest.mark.parametrize("shape", [(2, 2), (2, 9), (3, 3), (4, 4), (5, 4), (61, 47)])
+@pytest.mark.parametrize("method", KERNELS)
+def test_a_long_cloud_is_its_points(method: str, shape: tuple[int, int]) -> None:
+    """Off the map, beside voids, on the cells, on the last row and column, not numbers: over several blocks."""
+    rng = np.random.default_rng(9)
+    values = rng.normal(300.0, 100.0, shape).astype(np.float32)
+    values[rng.random(shape) < 0.02] = np.nan
+    row, col = (rng.uniform(-0.6, size - 0.4, 3 * sampling.BLOCK + 7) for size in shape)
+    row[::5], col[::7] = np.round(row[::5]), np.round(col[::7])
+    row[3::50], col[3::60] = shape[0] - 1.0, shape[1] - 1.0
+    row[::97], col[::89] = np.nan, np.inf
+    one = {"bilinear": sampling.bilinear_at, "bicubic": sampling.bicubic_at}[method]
+    expected = np.array([one(values, r, c) for r, c in zip(row, col)])
+    assert 0 < np.isnan(expected).sum() < row.size
+    np.testing.assert_allclose(at(method, values, row, col), expected, rtol=1e-12, atol=1e-9)
+    assert at(method, values, [], []).size == 0
+
+
 def frame(r: tuple[float, ...], c: tuple[float, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(r), np.array(c)
 

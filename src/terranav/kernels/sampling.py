@@ -3,6 +3,9 @@
 Fractional rows and columns count in cell centres: (0.0, 0.0) is the centre of the first cell. The domain is the hull
 of the cell centres with SLACK of a cell around it; outside it, and where a void has a weight above SLACK, the value is
 NaN.
+
+A cloud is sampled in loops without branches, as if all of it lay well within a map without voids; what that leaves NaN
+is sampled again one by one with all cases told apart.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import numpy as np
 from terranav.kernels.jit import jit
 
 SLACK = 1e-6
+BLOCK = 512  # positions worked on at a time, so that what is kept between two loops stays in the nearest cache
 
 
 @jit
@@ -56,45 +60,79 @@ def bilinear_at(values, row, col):
 
 
 @jit
+def _first_cells(row, col, least, most_row, most_col, cols, at):
+    """Numbers in the flat map of the first cells around positions, held within bounds; NaN at the least."""
+    for k in range(row.size):
+        r = row[k] if row[k] > least else least
+        c = col[k] if col[k] > least else least
+        r, c = (r if r < most_row else most_row), (c if c < most_col else most_col)
+        at[k] = np.uint64(np.int64(np.floor(r) * cols + np.floor(c)))
+
+
+@jit
+def _fetch_square(flat, cols, at, corners):
+    """The four values of each cell; a loop of loads and stores alone, so that the next one runs on whole registers."""
+    right, down, across = np.uint64(1), np.uint64(cols), np.uint64(cols + 1)
+    for k in range(at.size):
+        first = at[k]
+        corners[0, k], corners[1, k] = flat[first], flat[first + right]
+        corners[2, k], corners[3, k] = flat[first + down], flat[first + across]
+
+
+@jit
 def bilinear(values, row, col, out):
     """Bilinear values at scattered positions.
 
     Parameters
     ----------
-    values : (rows, cols) float32, both sizes >= 2, NaN where void
+    values : (rows, cols) float32, contiguous, both sizes >= 2, NaN where void
     row, col : (n,) float64 [cells]
     out : (n,) float64, written
     """
     rows, cols = values.shape
-    flat, width = values.reshape(values.size), np.int64(cols)
-    top, right = rows - 1.0, cols - 1.0
-    for k in range(out.size):  # no branch, so that it runs over vector registers
-        r, c = row[k], col[k]
-        inside = (r >= -SLACK) & (r <= top + SLACK) & (c >= -SLACK) & (c <= right + SLACK)
-        r, c = (r if r > 0.0 else 0.0), (c if c > 0.0 else 0.0)  # NaN becomes 0 too
-        r, c = min(r, top), min(c, right)
-        y, x = np.int64(min(r, top - 1.0)), np.int64(min(c, right - 1.0))
-        u, v = r - y, c - x
-        first = np.uint64(y * width + x)
-        second = first + np.uint64(width)
-        low = (1.0 - v) * flat[first] + v * flat[first + np.uint64(1)]
-        high = (1.0 - v) * flat[second] + v * flat[second + np.uint64(1)]
-        out[k] = (1.0 - u) * low + u * high if inside else np.nan
-    for k in range(out.size):
-        if np.isnan(out[k]):
-            out[k] = bilinear_at(values, row[k], col[k])
+    flat, last_row, last_col = values.reshape(values.size), rows - 2.0, cols - 2.0
+    at, corners = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32)
+    for begin in range(0, out.size, BLOCK):
+        part = slice(begin, min(begin + BLOCK, out.size))
+        r, c, value = row[part], col[part], out[part]
+        _first_cells(r, c, 0.0, last_row, last_col, np.float64(cols), at[: r.size])
+        _fetch_square(flat, cols, at[: r.size], corners)
+        for k in range(r.size):
+            inside = (r[k] >= 0.0) & (r[k] <= last_row + 1.0) & (c[k] >= 0.0) & (c[k] <= last_col + 1.0)
+            u, v = r[k] - min(np.floor(r[k]), last_row), c[k] - min(np.floor(c[k]), last_col)
+            north, south = np.float64(corners[0, k]), np.float64(corners[2, k])
+            north += v * (corners[1, k] - north)
+            south += v * (corners[3, k] - south)
+            value[k] = north + u * (south - north) if inside else np.nan
+        if _any_nan(value):
+            for k in range(r.size):
+                if np.isnan(value[k]):
+                    value[k] = bilinear_at(values, r[k], c[k])
 
 
 @jit
-def _cubic_weights(t, i, size):
-    """Weights of the cells i - 1 .. i + 2; a cell beyond the edge is the straight continuation of the two within.
+def _any_nan(values):
+    """Whether a value is NaN, without leaving the loop early: it runs over vector registers."""
+    count = 0
+    for value in values:
+        count += 1 if value != value else 0
+    return count > 0
 
-    Catmull-Rom: Keys, IEEE Trans. ASSP-29 (1981), eq. 4 with a = -1/2.
-    """
+
+@jit(forceinline=True)
+def _catmull_rom(t):
+    """Weights of the cells i - 1 .. i + 2 at the fraction t (Keys, IEEE Trans. ASSP-29 (1981), eq. 4, a = -1/2)."""
     before = t * (-0.5 + t * (1.0 - 0.5 * t))
     here = 1.0 + t * t * (-2.5 + 1.5 * t)
     after = t * (0.5 + t * (2.0 - 1.5 * t))
     beyond = t * t * (-0.5 + 0.5 * t)
+    return before, here, after, beyond
+
+
+@jit
+def _cubic_weights(t, i, size):
+    """Weights of the cells i - 1 .. i + 2; a cell beyond the edge is the straight continuation of the two within."""
+    before, here, after, beyond = _catmull_rom(t)
     if i == 0:
         here, after, before = here + 2.0 * before, after - before, 0.0
     if i == size - 2:
@@ -126,14 +164,50 @@ def bicubic_at(values, row, col):
 
 
 @jit
+def _blend_rows(flat, cols, at, by_row, blend):
+    """The four columns around each position, each blended from its four rows."""
+    down = np.uint64(cols)
+    for k in range(at.size):
+        first = at[k]
+        second, third, fourth = first + down, first + down + down, first + down + down + down
+        a, b, c, d = by_row[0, k], by_row[1, k], by_row[2, k], by_row[3, k]
+        for j in range(4):
+            e = np.uint64(j)
+            blend[k, j] = a * flat[first + e] + b * flat[second + e] + (c * flat[third + e] + d * flat[fourth + e])
+
+
+@jit
 def bicubic(values, row, col, out):
     """Bicubic (Catmull-Rom) values at scattered positions; continuous slopes, exact on planes up to the edge.
 
     Parameters
     ----------
-    values : (rows, cols) float32, both sizes >= 2, NaN where void
+    values : (rows, cols) float32, contiguous, both sizes >= 2, NaN where void
     row, col : (n,) float64 [cells]
     out : (n,) float64, written
     """
-    for k in range(out.size):
-        out[k] = bicubic_at(values, row[k], col[k])
+    rows, cols = values.shape
+    if rows < 4 or cols < 4:
+        for k in range(out.size):
+            out[k] = bicubic_at(values, row[k], col[k])
+        return
+    flat, last_row, last_col = values.reshape(values.size), rows - 3.0, cols - 3.0
+    at, by_row, blend = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK)), np.empty((BLOCK, 4))
+    before = np.uint64(cols + 1)  # from the first cell around a position back to the first that has a weight
+    for begin in range(0, out.size, BLOCK):
+        part = slice(begin, min(begin + BLOCK, out.size))
+        r, c, value = row[part], col[part], out[part]
+        _first_cells(r, c, 1.0, last_row, last_col, np.float64(cols), at[: r.size])
+        for k in range(r.size):
+            at[k] -= before
+            by_row[0, k], by_row[1, k], by_row[2, k], by_row[3, k] = _catmull_rom(r[k] - np.floor(r[k]))
+        _blend_rows(flat, cols, at[: r.size], by_row, blend)
+        for k in range(r.size):
+            inside = (r[k] >= 1.0) & (r[k] < last_row + 1.0) & (c[k] >= 1.0) & (c[k] < last_col + 1.0)
+            p, q, s, t = _catmull_rom(c[k] - np.floor(c[k]))
+            total = p * blend[k, 0] + q * blend[k, 1] + (s * blend[k, 2] + t * blend[k, 3])
+            value[k] = total if inside else np.nan
+        if _any_nan(value):
+            for k in range(r.size):
+                if np.isnan(value[k]):
+                    value[k] = bicubic_at(values, r[k], c[k])
