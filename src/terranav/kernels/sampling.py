@@ -15,7 +15,7 @@ import numpy as np
 from terranav.kernels.jit import jit
 
 SLACK = 1e-6
-BLOCK = 512  # positions worked on at a time, so that what is kept between two loops stays in the nearest cache
+BLOCK = 2048  # positions worked on at a time, so that what is kept between two loops stays in the nearest cache
 
 
 @jit
@@ -80,6 +80,27 @@ def _fetch_square(flat, cols, at, corners):
 
 
 @jit
+def bilinear_block(values, row, col, at, corners, out):
+    """`bilinear` at up to BLOCK positions, with scratch of the caller's: (BLOCK,) uint64 and (4, BLOCK) float32."""
+    rows, cols = values.shape
+    n, last_row, last_col = out.size, rows - 2.0, cols - 2.0
+    _first_cells(row, col, 0.0, last_row, last_col, np.float64(cols), at[:n])
+    _fetch_square(values.reshape(values.size), cols, at[:n], corners)
+    for k in range(n):
+        r, c = row[k], col[k]
+        inside = (r >= 0.0) & (r <= last_row + 1.0) & (c >= 0.0) & (c <= last_col + 1.0)
+        u, v = r - min(np.floor(r), last_row), c - min(np.floor(c), last_col)
+        north, south = np.float64(corners[0, k]), np.float64(corners[2, k])
+        north += v * (corners[1, k] - north)
+        south += v * (corners[3, k] - south)
+        out[k] = north + u * (south - north) if inside else np.nan
+    if _any_nan(out):
+        for k in range(n):
+            if np.isnan(out[k]):
+                out[k] = bilinear_at(values, row[k], col[k])
+
+
+@jit
 def bilinear(values, row, col, out):
     """Bilinear values at scattered positions.
 
@@ -89,25 +110,10 @@ def bilinear(values, row, col, out):
     row, col : (n,) float64 [cells]
     out : (n,) float64, written
     """
-    rows, cols = values.shape
-    flat, last_row, last_col = values.reshape(values.size), rows - 2.0, cols - 2.0
     at, corners = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32)
     for begin in range(0, out.size, BLOCK):
         part = slice(begin, min(begin + BLOCK, out.size))
-        r, c, value = row[part], col[part], out[part]
-        _first_cells(r, c, 0.0, last_row, last_col, np.float64(cols), at[: r.size])
-        _fetch_square(flat, cols, at[: r.size], corners)
-        for k in range(r.size):
-            inside = (r[k] >= 0.0) & (r[k] <= last_row + 1.0) & (c[k] >= 0.0) & (c[k] <= last_col + 1.0)
-            u, v = r[k] - min(np.floor(r[k]), last_row), c[k] - min(np.floor(c[k]), last_col)
-            north, south = np.float64(corners[0, k]), np.float64(corners[2, k])
-            north += v * (corners[1, k] - north)
-            south += v * (corners[3, k] - south)
-            value[k] = north + u * (south - north) if inside else np.nan
-        if _any_nan(value):
-            for k in range(r.size):
-                if np.isnan(value[k]):
-                    value[k] = bilinear_at(values, r[k], c[k])
+        bilinear_block(values, row[part], col[part], at, corners, out[part])
 
 
 @jit
