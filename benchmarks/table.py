@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,22 +19,46 @@ SLACK = 0.7  # a ratio may fall to this share of its goal on a busy machine befo
 LIBRARIES = ("numpy", "scipy", "numba", "stonesoup", "filterpy", "contourpy")
 
 
+def printed(chosen: Iterable[str], *, as_json: bool = False, out: Path | None = None) -> int:
+    """Run benchmarks and print each as soon as it is done; 1 when a ratio falls below what it is held to, else 0.
+
+    Parameters
+    ----------
+    chosen : names of benchmarks
+    as_json : one JSON document on stdout at the end instead of the table
+    out : file for that document, written after each benchmark
+    """
+    done: list[Row] = []
+    for name in chosen:
+        for row in rows_of(name):
+            done.append(row)
+            if not as_json:
+                print(*lines(row), sep="\n", flush=True)
+            if out is not None:
+                out.write_text(document(done) + "\n")
+    if as_json:
+        print(document(done))
+    lost = [line for row in done for line in short(row)]
+    for line in lost:
+        print(f"below what it is held to: {line}", file=sys.stderr)
+    return 1 if lost else 0
+
+
 def names() -> list[str]:
     """Benchmarks by name: the modules beside this one that have rows()."""
     here = import_module(__package__)
-    found = sorted(module.name for module in iter_modules(here.__path__) if not module.name.startswith("_"))
+    found = sorted(module.name for module in iter_modules(here.__path__) if module.name not in ("__main__", "growth"))
     return [name for name in found if hasattr(import_module(f"{__package__}.{name}"), "rows")]
 
 
-def rows_of(name: str) -> list[Row]:
-    """Run one benchmark."""
-    rows: list[Row] = import_module(f"{__package__}.{name}").rows()
-    return rows
+def rows_of(name: str) -> Iterator[Row]:
+    """Run one benchmark; each row comes as soon as it is measured, where the benchmark yields them."""
+    yield from import_module(f"{__package__}.{name}").rows()
 
 
 def lines(row: Row) -> list[str]:
     """A row as text: a line for each peer and one for the machine's limit."""
-    said = [f"{row.work:46}{time_said(row.ns):>11} a {row.per}"]
+    said = [f"{row.work:54}{time_said(row.ns):>11} per {row.per}"]
     for peer in row.peers:
         goal = f"  (goal {peer.goal:g}x)" if peer.goal else ""
         said.append(f"    {peer.ns / row.ns:7.1f}x  {peer.name}, {time_said(peer.ns)}{goal}")
@@ -66,7 +91,7 @@ def short(row: Row) -> list[str]:
     return lost
 
 
-def as_json(rows: Iterable[Row]) -> str:
+def document(rows: Iterable[Row]) -> str:
     """Rows with the machine and the libraries that they were measured with."""
     return json.dumps({"machine": machine(), "rows": [_entry(row) for row in rows]}, indent=1)
 

@@ -262,3 +262,11 @@ def _raw() -> Recording:
     columns["radar_altitude_m"] = flight().alt_m - flight().columns["terrain_m"]
     columns["baro_altitude_m"] = flight().alt_m
     return replace(flight(), columns=columns, sigma={})
+
+
+def test_one_map_needs_no_list_around_it() -> None:
+    chart = plane_map(0.1, 0.2)
+    assert make_estimator("pointmass", chart, InsGrade()) == make_estimator("pointmass", [chart], InsGrade())
+    for wrong in ("map.tif", 3, [chart, "map.tif"]):
+        with pytest.raises(ConfigError, match="expected Map objects"):
+            make_estimator("pointmass", wrong, InsGrade())  # type: ignore[arg-type]

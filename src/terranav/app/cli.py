@@ -11,6 +11,7 @@ import typer
 import typer.main
 
 from terranav.app.commands import maps
+from terranav.app.commands.bench import bench
 from terranav.app.commands.campaign import campaign
 from terranav.app.commands.compare import compare
 from terranav.app.commands.convert import convert
@@ -34,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, compare, simulate, convert, cue, campaign, study):
+for command in (demo, run, compare, simulate, convert, cue, campaign, study, bench):
     app.command()(command)
 app.add_typer(maps.app, name="map")
 app.command()(reproduce)

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from terranav.core.earth import shift
-from terranav.core.errors import ConfigError, DataError, DataWarning
+from terranav.core.errors import DataError, DataWarning
 from terranav.core.ins_grade import InsGrade
 from terranav.core.recording import DEFAULT_RAW_SIGMA_M, READY, Recording
 from terranav.core.records import Epoch, Prior
-from terranav.maps.map import Map
+from terranav.maps.map import Map, as_maps
 from terranav.sensors.ready import ready
 
 FEET_PER_METRE = 1.0 / 0.3048
@@ -76,10 +76,7 @@ def prepare(
     DataWarning
         A grade or a sigma is assumed, the map covers a part of the track only, or its values look like feet.
     """
-    charts = (maps,) if isinstance(maps, Map) else tuple(maps)
-    for chart in charts:
-        if not isinstance(chart, Map):
-            raise ConfigError(f"maps holds {chart!r}, expected Map objects (terranav.open_map reads one from a file)")
+    charts = as_maps(maps)
     assumed: list[str] = []
     grade = ins if ins is not None else rec.ins
     if grade is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from typing import Any, cast
@@ -14,7 +14,7 @@ from terranav.core.checks import unknown_name
 from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator, Matcher
-from terranav.maps.map import Map
+from terranav.maps.map import Map, as_maps
 
 _ADAPTER = "windowed"  # makes an Estimator of a Matcher; not a method of its own
 _GIVEN = ("maps", "ins", "matcher", "estimator")  # fields that are not settings
@@ -28,7 +28,7 @@ def estimators() -> list[str]:
 
 
 def make_estimator(
-    estimator: str | Estimator[Any] | Matcher, maps: Sequence[Map], ins: InsGrade, **settings: Any
+    estimator: str | Estimator[Any] | Matcher, maps: Map | Iterable[Map], ins: InsGrade, **settings: Any
 ) -> Estimator[Any]:
     """Build an estimator from its name, or make one of an object that is one already.
 
@@ -36,7 +36,7 @@ def make_estimator(
     ----------
     estimator : str, Estimator or Matcher
         A name from `estimators()`. An Estimator is returned as it is; a Matcher is wrapped in `Windowed`.
-    maps : sequence of Map
+    maps : Map or several
     ins : InsGrade
         What the estimator is told of the INS.
     **settings
@@ -50,7 +50,7 @@ def make_estimator(
         that an object cannot take.
     """
     if isinstance(estimator, str):
-        return _from_name(estimator, tuple(maps), ins, settings)
+        return _from_name(estimator, as_maps(maps), ins, settings)
     if isinstance(estimator, type):
         raise ConfigError(f"estimator is the class {estimator.__name__}, expected its name or an object of it")
     if isinstance(estimator, Estimator):

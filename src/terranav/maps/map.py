@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -252,6 +253,18 @@ class Map:
         from terranav.maps.info import describe
 
         return describe(self)
+
+
+def as_maps(given: Map | Iterable[Map]) -> tuple[Map, ...]:
+    """One map or several as a tuple; ConfigError for anything else."""
+    several: object = (given,) if isinstance(given, Map) else given
+    if not isinstance(several, Iterable) or isinstance(several, str):
+        raise ConfigError(f"maps is {given!r}, expected Map objects (terranav.open_map reads one from a file)")
+    charts = tuple(several)
+    for chart in charts:
+        if not isinstance(chart, Map):
+            raise ConfigError(f"maps holds {chart!r}, expected Map objects (terranav.open_map reads one from a file)")
+    return charts
 
 
 def _kept(given: NDArray[Any]) -> NDArray[np.float32]:

@@ -39,14 +39,14 @@ from numpy.typing import NDArray
 
 from terranav.core.checks import finite
 from terranav.core.earth import shift
-from terranav.core.errors import ConfigError, DataError, DataWarning, StateError
+from terranav.core.errors import DataError, DataWarning, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.recording import Recording
 from terranav.core.records import Epoch, Prior
 from terranav.filters._maps import one_map_a_kind
 from terranav.filters.marginalized import Marginalized
 from terranav.ins.error_state import ErrorModel, check_bias_sigma
-from terranav.maps.map import Map
+from terranav.maps.map import Map, as_maps
 from terranav.sensors.ready import ready
 
 FloatArray = NDArray[np.float64]
@@ -132,7 +132,7 @@ def bound(
     ConfigError
         Two maps of a kind, or a setting out of its range.
     """
-    charts = (maps,) if isinstance(maps, Map) else tuple(maps)
+    charts = as_maps(maps)
     _check_maps(rec, charts)
     finite("bound outlier_share", outlier_share, minimum=0.0, maximum=0.5)
     finite("bound outlier_scale", outlier_scale, above=0.0)
@@ -303,9 +303,6 @@ def _prior_cov_m2(prior: Prior) -> FloatArray:
 
 def _check_maps(rec: Recording, charts: tuple[Map, ...]) -> None:
     """Raise unless there are maps, and no two of a kind."""
-    for chart in charts:
-        if not isinstance(chart, Map):
-            raise ConfigError(f"maps holds {chart!r}, expected Map objects (terranav.open_map reads one from a file)")
     if not charts:
         raise DataError(f"{rec.name}: no map is given, expected at least one")
     one_map_a_kind("bound", charts)
