@@ -467,7 +467,7 @@ class TestWrongReadings:
 
         run = track([hills], 1, wrong=cluster).run(Marginalized((hills,), INS), 1)
         clouds = [state.cloud for state in run.states if state.cloud is not None]
-        bad = np.array([float(cloud.weight @ cloud.bad[:, 0]) for cloud in clouds])
+        bad = np.array([float(cloud.weight @ cloud.bad[0]) for cloud in clouds])
         assert bad[100:104].min() > 0.9
         assert bad[60:100].mean() < 0.1
         assert bad[120:].mean() < 0.1
@@ -665,10 +665,10 @@ class TestCloud:
         mean, spread = moments(cloud.rows, cloud.weight)
         np.testing.assert_allclose(mean, [10.0, -20.0, 0.0, 0.0], atol=1e-9)
         np.testing.assert_allclose(spread[:2, :2], cov if shape == "gaussian" else 3.0 * cov, rtol=1e-9, atol=1e-9)
-        np.testing.assert_array_equal(cloud.rows[:, 2:], 0.0)
+        np.testing.assert_array_equal(cloud.rows[2:], 0.0)
         np.testing.assert_array_equal(cloud.bad, 0.05)
         if shape == "uniform":
-            away = cloud.rows[:, :2] - prior.mean_m
+            away = cloud.rows[:2].T - prior.mean_m
             assert np.abs(away / np.sqrt(np.diag(cov))).max() < 3.05
             counts = np.histogram2d(away[:, 0], away[:, 1], bins=5, range=[(-90, 90), (-60, 60)])[0]
             np.testing.assert_allclose(counts, 200.0, rtol=0.1)  # evenly spread: chance alone would leave 7 % rms
@@ -685,7 +685,7 @@ class TestCloud:
         rng = np.random.default_rng(3)
         cloud = drawn(Prior(np.zeros(2), 900.0 * np.eye(2)), np.eye(4), 1000, np.array([0.1]), rng)
         rows = cloud.rows.copy()
-        rows[:, 2:] = 0.02 * rows[:, :2] + rng.normal(0.0, 0.5, (1000, 2))
+        rows[2:] = 0.02 * rows[:2] + rng.normal(0.0, 0.5, (2, 1000))
         weight = rng.random(1000) ** 3
         weight /= weight.sum()
         common = np.diag([0.0, 0.0, 0.3, 0.2])
@@ -693,9 +693,9 @@ class TestCloud:
         cloud = replace(cloud, rows=rows, weight=weight, mean=mean, cov=cov, common=common)
         means, covs = [], []
         for _ in range(300):
-            after = resampled(cloud, count, 100.0, rng)
+            after = resampled(cloud, count, 100.0, 1e4, rng)
             np.testing.assert_array_equal(after.weight, 1.0 / count)
-            assert after.rows.shape == (count, 4)
+            assert after.rows.shape == (4, count)
             found, spread = moments(after.rows, after.weight)
             means.append(found)
             covs.append(spread + after.common)
@@ -711,8 +711,8 @@ class TestCloud:
         weight = np.zeros(1000)
         weight[:10] = 0.1
         mean, cov = moments(cloud.rows, weight)
-        after = resampled(replace(cloud, weight=weight, mean=mean, cov=cov), 1000, 100.0, np.random.default_rng(2))
-        assert len(np.unique(after.rows[:, 0])) == 1000
+        after = resampled(replace(cloud, weight=weight, mean=mean, cov=cov), 1000, 100.0, 1e4, np.random.default_rng(2))
+        assert len(np.unique(after.rows[0])) == 1000
 
 
 @pytest.mark.parametrize(

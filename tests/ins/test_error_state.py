@@ -17,9 +17,11 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.kinds import KINDS
 from terranav.core.records import Epoch
 from terranav.ins.drift import draw_drift
-from terranav.ins.error_state import ErrorModel, Level, Transition, check_bias_sigma, discretised
+from terranav.ins.error_state import ErrorModel, Level, Transition, check_bias_sigma
 from terranav.ins.grades import GRADES
+from terranav.kernels.strapdown import discretised
 from terranav.maps.map import Map
+from tests.ins.van_loan import discretised as van_loan
 
 LEVELS: tuple[Level, ...] = ("position", "schuler", "strapdown")
 FULL = replace(GRADES["industrial"], position_walk_m_per_sqrt_s=2.0, velocity_walk_mps_per_sqrt_s=0.01)
@@ -239,13 +241,35 @@ def test_on_a_straight_flight_strapdown_and_schuler_agree() -> None:
 
 def test_discretised_is_the_integral() -> None:
     """Against a plain sum over a thousand small steps."""
-    f, noise, dt, n = np.array([[0.0, 1.0], [-0.04, -0.1]]), np.diag([0.3, 2.0]), 5.0, 1000
-    phi, q = discretised(f, noise, dt)
+    f, noise, dt, n = np.array([[0.0, 1.0], [-4e-4, -0.01]]), np.diag([0.3, 2.0]), 5.0, 1000
+    g = np.sqrt(noise)
+    phi, q = discretised(f, g, dt)
     small, h, total = np.eye(2), dt / n, np.zeros((2, 2))
-    step, _ = discretised(f, noise, h)
-    half, _ = discretised(f, noise, 0.5 * h)
+    step, _ = discretised(f, g, h)
+    half, _ = discretised(f, g, 0.5 * h)
     for _ in range(n):
         total += half @ small @ noise @ small.T @ half.T * h
         small = step @ small
     np.testing.assert_allclose(phi, small, rtol=1e-9)
     np.testing.assert_allclose(q, total, rtol=1e-5)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.02, 1.0, 9.0, 61.0, 3600.0])
+@pytest.mark.parametrize("level", ["position", "schuler"])
+def test_steps_of_the_planar_levels_as_by_van_loan(level: Level, dt: float) -> None:
+    w2 = SCHULER_RAD_PER_S**2
+    f = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -w2, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]])
+    gyro = GRAVITY_MPS2 * math.radians(FULL.gyro_walk_deg_per_sqrt_h) / 60.0
+    speed2 = FULL.velocity_walk_mps_per_sqrt_s**2 + (FULL.accel_walk_mps_per_sqrt_h / 60.0) ** 2
+    noise = np.diag([FULL.position_walk_m_per_sqrt_s**2, speed2, gyro**2, 0.0])
+    if level == "position":
+        f, noise = np.array([[0.0, 1.0], [0.0, 0.0]]), noise[:2, :2]
+    phi, q = van_loan(f, noise, dt)
+    found = model(level, FULL, ()).transition(epoch(0.0), epoch(dt))
+    np.testing.assert_allclose(found.phi, np.kron(phi, np.eye(2)), rtol=1e-8, atol=1e-12)
+    scale = np.sqrt(np.diag(q)) + 1e-6
+    np.testing.assert_allclose(
+        found.q / np.kron(np.outer(scale, scale), np.ones((2, 2))),
+        np.kron(q / np.outer(scale, scale), np.eye(2)),
+        atol=1e-9,
+    )

@@ -23,10 +23,11 @@ from terranav.core.earth import offset_m
 from terranav.core.ins_grade import InsGrade
 from terranav.core.records import Epoch
 from terranav.ins import strapdown_error as model
-from terranav.ins.error_state import ErrorModel, discretised
+from terranav.ins.error_state import ErrorModel
 from terranav.ins.grades import GRADES
 from terranav.ins.strapdown import free_inertial
 from terranav.ins.trajectory import Route, Trajectory, fly
+from tests.ins.van_loan import discretised
 
 WINDING = [[46.0, 7.0, 1500.0], [46.1, 7.05, 2300.0], [46.1, 7.2, 2300.0], [46.03, 7.22, 1800.0]]
 ROUND = [[46.0, 7.0, 2000.0], [46.06, 7.0, 2000.0], [46.06, 7.09, 2200.0], [46.0, 7.09, 2200.0], [46.0, 7.15, 2000.0]]

@@ -1,13 +1,14 @@
 """Marginalised particles: positions with conditional means, one conditional covariance for all.
 
-The state x = (p, z) is that of `terranav.ins.error_state`. Row k is (p, E[z | p]) of particle k; `common` is the
-covariance of z given p, zero for p. Steps are held back until a reading comes, and then drawn at once.
+The state x = (p, z) is that of `terranav.ins.error_state`. Column k of `rows` is (p, E[z | p]) of particle k, row i one
+state of all of them, side by side for the kernels; `common` is the covariance of z given p, zero for p. Steps are held
+back until a reading comes, and then drawn at once.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
@@ -16,8 +17,10 @@ from scipy.special import ndtri
 
 from terranav.core.judgement import largest_sigma_m
 from terranav.core.records import Prior
+from terranav.filters._normals import standard_normal
 from terranav.ins.error_state import Transition
 from terranav.kernels import marginalized as kernels
+from terranav.kernels.matrices import conditioned, kernel_of
 
 FloatArray = NDArray[np.float64]
 
@@ -32,9 +35,9 @@ class Cloud:
 
     Attributes
     ----------
-    rows : (m, d)
+    rows : (d, m)
     weight : (m,), sums to one
-    bad : (m, kinds)
+    bad : (kinds, m)
         Probability that the map of each kind is in its bad regime below the particle.
     common : (d, d)
     mean, cov : (d,), (d, d)
@@ -77,52 +80,61 @@ def drawn(prior: Prior, common: FloatArray, count: int, bad: FloatArray, rng: Ge
     away = unit - np.einsum("k,ki", weight, unit)  # einsum: a product of matrices would wake the threads of BLAS
     spread = np.einsum("k,ki,kj", weight, away, away)
     away = away @ np.linalg.inv(np.linalg.cholesky(spread)).T
-    rows = np.zeros((count, len(common)))
-    rows[:, :2] = prior.mean_m + away @ np.linalg.cholesky(target).T
-    regimes = np.broadcast_to(bad, (count, bad.size)).copy()
+    rows = np.zeros((len(common), count))
+    rows[:2] = (prior.mean_m + away @ np.linalg.cholesky(target).T).T
+    regimes = np.repeat(bad[:, None], count, axis=1)
     mean, cov = kernels.moments(rows, weight)
     return Cloud(rows, weight, regimes, common, mean, cov, math.sqrt(prior_area(prior) / count))
 
 
-def advanced(cloud: Cloud, passed: Transition, rng: Generator) -> Cloud:
-    """The cloud after a step: positions drawn, z conditioned on them. Its `mean` and `cov` stay those of before."""
-    grown = passed.phi @ cloud.common @ passed.phi.T + passed.q
-    values, vectors = np.linalg.eigh(grown[:2, :2])
-    solid = values > max(1e-12 * values[1], 0.0)  # none where no time passes, or nothing drifts
-    root = vectors * np.sqrt(np.where(solid, values, 0.0))
-    inverse = (vectors * np.where(solid, 1.0 / np.where(solid, values, 1.0), 0.0)) @ vectors.T
-    carry = grown[:, :2] @ inverse
-    common = grown - carry @ grown[:2]
-    common[:2], common[:, :2] = 0.0, 0.0
-    rows = np.empty_like(cloud.rows)
-    noise = rng.standard_normal((len(rows), 2))
-    kernels.advance(cloud.rows, cloud.weight, passed.phi, carry @ root, noise, rows)
-    return replace(cloud, rows=rows, common=0.5 * (common + common.T))
+def advanced(cloud: Cloud, passed: Transition, share: float, keep: FloatArray, rng: Generator) -> Cloud:
+    """The cloud after a step: positions drawn, z conditioned on them. Its `mean` and `cov` stay those of before.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    passed : Transition
+    share : float
+        What the probability of the bad regimes tends to.
+    keep : (kinds,)
+        What stays of their distance from it.
+    rng : Generator
+    """
+    spread, common = conditioned(passed.phi, passed.q, cloud.common)
+    rows, bad = np.empty_like(cloud.rows), np.empty_like(cloud.bad)
+    noise = standard_normal(rng, (2, cloud.weight.size))
+    kernels.advance(cloud.rows, cloud.weight, cloud.mean, passed.phi, spread, noise, rows)
+    kernels.regime(cloud.bad, share, keep, bad)
+    return Cloud(rows, cloud.weight, bad, common, cloud.mean, cloud.cov, cloud.spacing_m)
 
 
-def resampled(cloud: Cloud, count: int, cell_m: float, rng: Generator) -> Cloud:
+def resampled(cloud: Cloud, count: int, cell_m: float, area_m2: float, rng: Generator) -> Cloud:
     """Equal weights again. Mean and covariance stay: a normal kernel takes up what shrinking towards the mean leaves.
 
     Liu and West, Combined parameter and state estimation, in: Sequential Monte Carlo Methods in Practice, 2001. The
     bandwidth is the best one for a normal density in `KERNEL_DIMENSIONS` (Silverman 1986, eq. 4.14). The kernel's part
     in p is drawn and moves z along; its part in z given p goes into `common`.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    count : int
+        Particles afterwards.
+    cell_m : float
+        Of the finest map.
+    area_m2 : float
+        `covered_area` of the cloud.
+    rng : Generator
     """
     d = KERNEL_DIMENSIONS
     sigma = largest_sigma_m(cloud.cov[:2, :2])
     width = min((4.0 / (count * (d + 2.0))) ** (1.0 / (d + 4.0)), KERNEL_CELLS * cell_m / max(sigma, 1e-9))
-    position = cloud.cov[:2, :2] + 1e-9 * np.eye(2)
-    carry = cloud.cov[:, :2] @ np.linalg.inv(position)
-    carry[:2] = np.eye(2)
-    spread = width * carry @ np.linalg.cholesky(position)
-    rest = width**2 * (cloud.cov - carry @ cloud.cov[:2])
-    rest[:2], rest[:, :2] = 0.0, 0.0
-    rows, bad = np.empty((count, cloud.rows.shape[1])), np.empty((count, cloud.bad.shape[1]))
-    noise, offset, keep = rng.standard_normal((count, 2)), float(rng.random()), math.sqrt(1.0 - width**2)
+    spread, common = kernel_of(cloud.cov, cloud.common, width, 1e-9)
+    rows, bad = np.empty((len(cloud.rows), count)), np.empty((len(cloud.bad), count))
+    noise, offset, keep = standard_normal(rng, (2, count)), rng.random(), math.sqrt(1.0 - width**2)
     kernels.resampled(cloud.rows, cloud.weight, cloud.bad, offset, cloud.mean, keep, spread, noise, rows, bad)
     weight = np.full(count, 1.0 / count)
-    common = cloud.common + 0.5 * (rest + rest.T)
-    spacing = math.sqrt(covered_area(cloud) / count)
-    return replace(cloud, rows=rows, weight=weight, bad=bad, common=common, spacing_m=spacing)
+    return Cloud(rows, weight, bad, common, cloud.mean, cloud.cov, math.sqrt(area_m2 / count))
 
 
 def covered_area(cloud: Cloud) -> float:

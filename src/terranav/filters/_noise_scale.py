@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 SCALES = 2.0 ** np.arange(-2.0, 5.0)  # of the variance: from half the told sigma to 4 times
 OCTAVES_SIGMA = 1.0  # told variances are trusted to about a factor of two
-SWITCH = 0.005  # chance a reading of a step to either side
+SWITCH = 0.005  # chance a reading of a step to either side (`kernels.reading.learned`)
 
 
 def told() -> FloatArray:
@@ -29,22 +29,6 @@ def told() -> FloatArray:
 def certain() -> FloatArray:
     """Probability of each of SCALES where the noise is as told."""
     return np.asarray(SCALES == 1.0, dtype=np.float64)
-
-
-def learned(probability: FloatArray, likelihood: FloatArray) -> FloatArray:
-    """The probabilities after one more reading, whose likelihood under each of SCALES is given."""
-    moved = (1.0 - 2.0 * SWITCH) * probability
-    moved[1:] += SWITCH * probability[:-1]
-    moved[:-1] += SWITCH * probability[1:]
-    moved[[0, -1]] += SWITCH * probability[[0, -1]]
-    return bayes(moved, likelihood)
-
-
-def bayes(probability: FloatArray, likelihood: FloatArray) -> FloatArray:
-    """Bayes' rule over a few hypotheses (s,), none of which a single reading rules out for good."""
-    after = probability * (likelihood + 1e-12 * likelihood.max())
-    total = float(after.sum())
-    return np.asarray(after / total) if total > 0.0 else probability
 
 
 def expected(probability: FloatArray) -> float:

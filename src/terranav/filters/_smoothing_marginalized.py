@@ -144,8 +144,8 @@ def _mixture(cloud: Cloud, estimator: Marginalized, rng: Generator) -> Mixture:
 
     The kernel's width is the best for a normal density (Silverman, Density Estimation, 1986, eq. 4.14), with a limit.
     """
-    rows, weight = cloud.rows, cloud.weight
-    mean, cov = moments_of(rows, weight)
+    mean, cov = moments_of(cloud.rows, cloud.weight)
+    rows, weight = np.ascontiguousarray(cloud.rows.T), cloud.weight
     if len(rows) > MOST_ROWS:
         rows, weight = rows[_systematic(weight, MOST_ROWS, rng)], np.full(MOST_ROWS, 1.0 / MOST_ROWS)
     cell_m = min(chart.cell_m for chart in estimator.maps)
@@ -173,7 +173,7 @@ def _linked(mixture: Mixture, step: Transition, later: FloatArray, rng: Generato
     nearest = trace_back(mixture.weight, mixture.centres, ahead, later @ whiten, rng.random(m), chosen, mean, passed)
     if np.median(nearest) > BREAK:
         return None
-    within = moments_of(mixture.centres, passed)[1] - np.cov(mean.T, bias=True)
+    within = moments_of(np.ascontiguousarray(mixture.centres.T), passed)[1] - np.cov(mean.T, bias=True)
     keep = np.eye(d) - gain @ step.phi
     own = keep @ mixture.cov @ keep.T + gain @ step.q @ gain.T  # K - G S G', positive in this form
     noise = rng.standard_normal((m, d)) @ _root(own).T

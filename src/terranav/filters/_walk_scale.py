@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from terranav.filters._noise_scale import bayes
 from terranav.ins.error_state import Transition
 from terranav.kernels import walk_scale as kernels
 
@@ -22,6 +21,7 @@ FloatArray = NDArray[np.float64]
 FACTORS = np.array([1.0, 4.0, 16.0])  # of the variance of the process noise
 START = np.array([0.95, 0.03, 0.02])  # an INS is mostly as good as told; less than told is never assumed
 FORGET = 0.005  # chance a reading that the INS is another from here on
+FORGET_START = FORGET * START
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,19 +57,31 @@ def stepped(bank: WalkScale, passed: Transition, inertial: int) -> WalkScale:
     """The bank after a step of told noise, whose first `inertial` states are those of the INS."""
     if bank.idle:
         return bank
-    mean, cov = np.empty_like(bank.mean), np.empty_like(bank.cov)
-    kernels.stepped(bank.mean, bank.cov, passed.phi, passed.q, inertial, FACTORS, mean, cov)
-    return replace(bank, mean=mean, cov=cov)
+    mean, cov = kernels.stepped(bank.mean, bank.cov, passed.phi, passed.q, inertial, FACTORS)
+    return WalkScale(bank.probability, mean, cov)
 
 
 def weighed(
-    bank: WalkScale, row: FloatArray, value: float, noise: float, outlier: tuple[float, float], *, use: bool
+    bank: WalkScale, plane: FloatArray, bias: int, noise: float, outlier: tuple[float, float], *, use: bool
 ) -> WalkScale:
-    """The bank and the distribution after a reading value = row x + noise; `outlier` as in the kernel."""
-    mean, cov, likelihood = np.empty_like(bank.mean), np.empty_like(bank.cov), np.empty(len(bank.mean))
-    kernels.corrected(bank.mean, bank.cov, row, value, noise, np.array(outlier), use, mean, cov, likelihood)
-    moved = (1.0 - FORGET) * bank.probability + FORGET * START
-    return WalkScale(bayes(moved, likelihood), mean, cov)
+    """The bank and the distribution after a reading of the map as a plane (`kernels.walk_scale.linearised`).
+
+    Parameters
+    ----------
+    bank : WalkScale
+    plane : (6,)
+    bias : int
+        Index of the bias in the state; the patch is the next.
+    noise : float
+        Variance of reading and plane [unit^2].
+    outlier : probability of an outlier, and the half width of its Cauchy density [unit]
+    use : bool
+        Whether it may correct the filters.
+    """
+    value = float(plane[2] + plane[3] * plane[0] + plane[4] * plane[1])
+    prior = (1.0 - FORGET) * bank.probability + FORGET_START
+    found = kernels.corrected(bank.mean, bank.cov, plane[3:5], bias, value, noise, *outlier, use, prior)
+    return WalkScale(*found)
 
 
 def started(bank: WalkScale, mean: FloatArray, cov: FloatArray) -> WalkScale:

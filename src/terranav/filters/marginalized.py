@@ -34,6 +34,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.random import Generator
@@ -42,6 +43,7 @@ from numpy.typing import NDArray
 from terranav.core.checks import finite
 from terranav.core.earth import offset_of
 from terranav.core.errors import ConfigError, StateError
+from terranav.core.frozen import changed
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Innovation, Measurement, Posterior, Prior
@@ -49,9 +51,10 @@ from terranav.filters import _noise_scale as noise_scale
 from terranav.filters import _walk_scale as walk_scale
 from terranav.filters._cloud import Cloud, advanced, covered_area, drawn, prior_area, prior_covariance, resampled
 from terranav.filters._maps import one_map_a_kind
-from terranav.filters._reading import GROUND, Seen, compared, likelihoods
+from terranav.filters._reading import Seen, compared, learned, weighed
 from terranav.ins.error_state import ErrorModel, Transition, check_bias_sigma
-from terranav.kernels import marginalized as kernels
+from terranav.kernels.matrices import predicted
+from terranav.kernels.reading import mean_of
 from terranav.kernels.walk_scale import linearised
 from terranav.maps.map import Map
 
@@ -169,14 +172,13 @@ class Marginalized:
     def step(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
         """Let the time since the last epoch pass, then use the readings one by one."""
         state = self._begun(state, epoch, rng) if state.cloud is None else self._passed(state, epoch)
-        pairs = [(m, chart) for m in epoch.measurements for chart in self.maps if chart.kind == m.kind]
-        innovations: list[Innovation] = []
+        pairs = [(reading, number) for reading in epoch.measurements if (number := self._number(reading.kind)) >= 0]
         if pairs:
             state = self._advanced(state, epoch, rng)
-        for reading, chart in pairs:
-            state, innovation = self._updated(state, epoch, chart, reading)
+        innovations: list[Innovation] = []
+        for reading, number in pairs:
+            state, innovation = self._updated(state, epoch, number, reading, rng)
             innovations.append(innovation)
-            state = self._renewed(state, rng)
         compared = [one for one in innovations if one.known > 0.5]
         nis = [one.nis for one in compared if one.used]
         judgement = judge(
@@ -187,15 +189,17 @@ class Marginalized:
             readings=len(nis),
             off_map=not compared if innovations else None,
         )
-        return replace(state, innovations=tuple(innovations), judgement=judgement)
+        return changed(state, innovations=tuple(innovations), judgement=judgement)
 
     def estimate(self, state: MarginalizedState) -> Estimate:
         """Mean and covariance of the position error, the map's own place included."""
         if state.epoch is None:
             raise StateError("marginalized: no estimate before the first epoch")
-        cov = 0.5 * (state.cov[:2, :2] + state.cov[:2, :2].T)
-        aided = max(1.0 - float(np.trace(cov) / np.trace(state.unaided[:2, :2])), 0.0)
-        cov = cov + aided * self._registration_m2(state) * np.eye(2)
+        (north, one), (two, east) = state.cov[:2, :2].tolist()
+        unaided = float(state.unaided[0, 0] + state.unaided[1, 1])
+        place = max(1.0 - (north + east) / unaided, 0.0) * self._registration_m2(state)
+        cross = 0.5 * (one + two)
+        cov = np.array(((north + place, cross), (cross, east + place)))
         judgement = state.judgement
         return Estimate.at(state.epoch, state.mean[:2].copy(), cov, judgement.status, judgement.nis)
 
@@ -203,9 +207,9 @@ class Marginalized:
         """The positions of the cloud; what has passed since the latest reading moves them as a whole."""
         if state.cloud is None:
             raise StateError("marginalized: no posterior before the first epoch")
-        rows = state.cloud.rows
-        moved = rows[:, :2] if state.pending is None else rows @ state.pending.phi[:2].T
-        return Posterior(moved[:, 0].copy(), moved[:, 1].copy(), state.cloud.weight)
+        rows, pending = state.cloud.rows, state.pending
+        north, east = rows[:2].copy() if pending is None else np.einsum("ij,jk", pending.phi[:2], rows)
+        return Posterior(north, east, state.cloud.weight)
 
     def innovations(self, state: MarginalizedState) -> tuple[Innovation, ...]:
         """Of the last epoch's readings."""
@@ -221,20 +225,24 @@ class Marginalized:
         """The state that does not use readings of these kinds."""
         return replace(state, excluded=kinds)
 
-    @property
+    @cached_property
     def _judge(self) -> Judge:
         limit = self.converged_sigma_m
         return Judge(converged_sigma_m=self._cell_m if limit is None else limit)
 
-    @property
+    @cached_property
     def _cell_m(self) -> float:
         return min(chart.cell_m for chart in self.maps)
+
+    def _number(self, kind: str) -> int:
+        """Of the map of a kind, -1 where there is none."""
+        return next((i for i, chart in enumerate(self.maps) if chart.kind == kind), -1)
 
     def _registration_m2(self, state: MarginalizedState) -> float:
         """Variance per axis of the place of the map that fixes the position best [m^2]."""
         places = [
             min((self.registration_cells * chart.cell_m) ** 2, 0.5 * chart.sigma**2 / max(slope2, 1e-30))
-            for chart, slope2, met in zip(self.maps, state.slope2, state.met)
+            for chart, slope2, met in zip(self.maps, state.slope2.tolist(), state.met.tolist())
             if met > 0.0
         ]
         return min(places, default=0.0)
@@ -270,106 +278,79 @@ class Marginalized:
         model, before = state.model, state.epoch
         assert model is not None and before is not None  # noqa: PT018  set by _begun()
         passed = model.transition(before, epoch)
-        for chart, probability in zip(self.maps, state.scale):
-            patch = model.bias_index(chart.kind) + 1
+        for number, probability in enumerate(state.scale):
+            patch = model.inertial + 2 * number + 1
             passed.q[patch, patch] *= noise_scale.expected(probability)
         walk = walk_scale.stepped(state.walk, passed, model.inertial)
         passed.q[: model.inertial, : model.inertial] *= walk.expected
-        phi, q = passed.phi, passed.q
         pending = passed if state.pending is None else state.pending.then(passed)
-        cov, unaided = phi @ state.cov @ phi.T + q, phi @ state.unaided @ phi.T + q
-        mean = phi @ state.mean
-        return replace(state, epoch=epoch, pending=pending, mean=mean, cov=cov, unaided=unaided, walk=walk)
+        mean, cov, unaided = predicted(passed.phi, passed.q, state.mean, state.cov, state.unaided)
+        return changed(state, epoch=epoch, pending=pending, mean=mean, cov=cov, unaided=unaided, walk=walk)
 
     def _advanced(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
-        """The cloud at an epoch with readings: what is pending drawn, regimes carried on over the ground in between."""
+        """The cloud at an epoch with readings, all of its arrays new: what is pending drawn, regimes carried on."""
         cloud, last = state.cloud, state.last_reading
         assert cloud is not None  # set by _begun()
-        if state.pending is not None:
-            cloud = advanced(cloud, state.pending, rng)
-        if last is not None:
+        keep = np.ones(len(self.maps))
+        if last is not None:  # over the ground in between
             travelled = math.hypot(*offset_of(last.lat_deg, last.lon_deg, epoch.lat_deg, epoch.lon_deg))
             keep = np.array([math.exp(-travelled / (BAD_PATCH * chart.error_length_m)) for chart in self.maps])
-            cloud = replace(cloud, bad=self.outlier_share + keep * (cloud.bad - self.outlier_share))
-        return replace(state, cloud=cloud, pending=None, last_reading=epoch)
+        if state.pending is not None:
+            cloud = advanced(cloud, state.pending, self.outlier_share, keep, rng)
+        return changed(state, cloud=cloud, pending=None, last_reading=epoch)
 
     def _updated(
-        self, state: MarginalizedState, epoch: Epoch, chart: Map, reading: Measurement
+        self, state: MarginalizedState, epoch: Epoch, number: int, reading: Measurement, rng: Generator
     ) -> tuple[MarginalizedState, Innovation]:
         """The state after one reading, and what the reading was against its prediction."""
-        cloud, model = state.cloud, state.model
+        cloud, model, chart = state.cloud, state.model, self.maps[number]
         assert cloud is not None and model is not None  # noqa: PT018  set by _begun()
         blur2 = (self.blur_cells * chart.cell_m) ** 2
         reach = self.outlier_scale * math.hypot(reading.sigma, chart.sigma)
-        seen = compared(cloud, model, chart, epoch, reading, blur2=blur2, reach=reach)
-        number, factor = seen.number, noise_scale.expected(state.scale[seen.number])
-        known, mean, variance, noise = kernels.predicted(
-            cloud.weight, seen.residual, seen.slope2, factor * seen.told, seen.common
-        )
-        used = chart.kind not in state.excluded and known > 0.0
-        innovation = Innovation(chart.kind, mean, variance, noise, known, used, math.sqrt(factor))
+        seen = compared(cloud, model, number, epoch, reading, blur2=blur2, reach=reach)
+        factor = noise_scale.expected(state.scale[number])
+        noise = factor * (seen.told[0] + seen.told[1] * seen.mean_slope2) if seen.known > 0.0 else math.nan
+        variance, used = seen.variance + noise + seen.common, chart.kind not in state.excluded and seen.known > 0.0
+        innovation = Innovation(chart.kind, seen.mean, variance, noise, seen.known, used, math.sqrt(factor))
         if not used:
             return state, innovation
-        state = _met(state, number, float(kernels.mean_known(cloud.weight, seen.residual, seen.slope2)))
+        met, slope2, scale = state.met.copy(), state.slope2.copy(), state.scale
+        met[number] = min(met[number] + 1.0, SLOPE_MEMORY)
+        slope2[number] += (seen.mean_slope2 - slope2[number]) / met[number]
         if self.adapt_noise:
-            scale = state.scale.copy()
-            scale[number] = noise_scale.learned(scale[number], likelihoods(cloud, seen, factor))
-            state = replace(state, scale=scale)
-        return self._weighed(state, cloud, seen), innovation
-
-    def _weighed(self, state: MarginalizedState, cloud: Cloud, seen: Seen) -> MarginalizedState:
-        """The state after a reading; as it was where the reading contradicts every particle."""
-        rows, weight = np.empty_like(cloud.rows), np.empty_like(cloud.weight)
-        bad, after = np.ascontiguousarray(cloud.bad[:, seen.number]), np.empty_like(cloud.weight)
-        white = noise_scale.expected(state.scale[seen.number]) * seen.told
-        white[1] += GROUND * cloud.spacing_m**2
-        likely, _, shrink, widen = kernels.weigh(
-            cloud.rows, cloud.weight, bad, seen.residual, seen.slope2, white, seen.common, seen.reach, seen.gain,
-            rows, weight, after,
-        )  # fmt: skip
-        if likely <= 0.0:
-            return state
-        regimes = cloud.bad.copy()
-        regimes[:, seen.number] = after
-        common = cloud.common - (shrink - widen) * np.outer(seen.gain, seen.gain)
-        mean, cov = kernels.moments(rows, weight)
-        now = Cloud(rows, weight, regimes, common, mean, cov, cloud.spacing_m)
-        state = replace(state, cloud=now, mean=mean, cov=cov + common)
-        if self.adapt_walk:
-            plane = linearised(cloud.rows, weight, seen.residual, seen.bias)  # residuals are of the rows before
-            noise = float(white[0] + plane[5])
-            state = replace(state, walk=self._wandered(state, plane, seen.number, noise, seen.reach))
-        return state
+            scale = scale.copy()
+            scale[number] = learned(cloud, seen, scale[number], factor)
+            factor = noise_scale.expected(scale[number])
+        white = seen.noise(factor, cloud.spacing_m)
+        after = weighed(cloud, seen, state.mean, white)
+        if after is None:  # the reading contradicts every particle
+            return changed(state, met=met, slope2=slope2, scale=scale), innovation
+        cloud, cov, effective = after
+        walk = self._wandered(state.walk, cloud, cov, seen, float(white[0])) if self.adapt_walk else state.walk
+        mean = cloud.mean
+        if effective < RESAMPLE_SHARE * cloud.weight.size:
+            cloud = self._renewed(cloud, rng)
+        return changed(
+            state, cloud=cloud, mean=mean, cov=cov, scale=scale, walk=walk, slope2=slope2, met=met
+        ), innovation
 
     def _wandered(
-        self, state: MarginalizedState, plane: FloatArray, number: int, noise: float, reach: float
+        self, walk: walk_scale.WalkScale, cloud: Cloud, cov: FloatArray, seen: Seen, noise: float
     ) -> walk_scale.WalkScale:
         """What a reading says of how much the INS wanders, the map being made a plane (`kernels.walk_scale`)."""
-        cloud, model = state.cloud, state.model
-        known = cloud is not None and model is not None and largest_sigma_m(state.cov[:2, :2]) <= self._cell_m
-        if not known or not 2.0 * plane[5] < noise:  # what the plane leaves is less than the rest, and no NaN
-            return walk_scale.stopped(state.walk)
-        if state.walk.idle:
-            return walk_scale.started(state.walk, state.mean, state.cov)
-        assert cloud is not None and model is not None  # noqa: PT018
-        bias, row = model.bias_index(self.maps[number].kind), np.zeros(model.size)
-        row[:2], row[bias : bias + 2] = plane[3:5], 1.0
-        value = float(plane[2] + plane[3:5] @ plane[:2])
-        bad = float(kernels.mean_known(cloud.weight, cloud.weight, np.ascontiguousarray(cloud.bad[:, number])))
-        return walk_scale.weighed(state.walk, row, value, noise, (self.outlier_share, reach), use=bad < 0.5)
+        if not largest_sigma_m(cov[:2, :2]) <= self._cell_m:
+            return walk_scale.stopped(walk)
+        plane = linearised(cloud.rows, cloud.weight, seen.residual, seen.bias, cloud.mean)
+        noise += float(plane[5])
+        if not 2.0 * plane[5] < noise:  # what the plane leaves is less than the rest, and no NaN
+            return walk_scale.stopped(walk)
+        if walk.idle:
+            return walk_scale.started(walk, cloud.mean, cov)
+        bad = mean_of(cloud.weight, cloud.bad[seen.number])
+        return walk_scale.weighed(walk, plane, seen.bias, noise, (self.outlier_share, seen.reach), use=bad < 0.5)
 
-    def _renewed(self, state: MarginalizedState, rng: Generator) -> MarginalizedState:
-        """The state, its cloud resampled where too few particles carry the weight."""
-        cloud = state.cloud
-        if cloud is None or kernels.effective(cloud.weight) >= RESAMPLE_SHARE * cloud.weight.size:
-            return state
-        count = max(self._count(covered_area(cloud)), cloud.weight.size // 2)  # small modes are not cut off at once
-        return replace(state, cloud=resampled(cloud, count, self._cell_m, rng))
-
-
-def _met(state: MarginalizedState, number: int, slope2: float) -> MarginalizedState:
-    """The state with one more squared slope in the running mean of a map."""
-    met, mean = state.met.copy(), state.slope2.copy()
-    met[number] = min(met[number] + 1.0, SLOPE_MEMORY)
-    mean[number] += (slope2 - mean[number]) / met[number]
-    return replace(state, met=met, slope2=mean)
+    def _renewed(self, cloud: Cloud, rng: Generator) -> Cloud:
+        """A cloud resampled, because too few particles carry the weight."""
+        area = covered_area(cloud)
+        count = max(self._count(area), cloud.weight.size // 2)  # small modes are not cut off at once
+        return resampled(cloud, count, self._cell_m, area, rng)

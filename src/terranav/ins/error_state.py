@@ -20,12 +20,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from terranav.core.checks import finite, unknown_name
 from terranav.core.earth import GRAVITY_MPS2, SCHULER_RAD_PER_S, offset_of
@@ -33,12 +32,18 @@ from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.kinds import KINDS, kind_named
 from terranav.core.records import Epoch
+from terranav.kernels.matrices import then
+from terranav.kernels.strapdown import discretised
 from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
 Level = Literal["position", "schuler", "strapdown"]
 
 POSITION, VELOCITY = slice(0, 2), slice(2, 4)
+
+_SCHULER_LOOP = np.array(
+    [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -(SCHULER_RAD_PER_S**2), 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]]
+)  # of one axis: dp/dt = v, dv/dt = a, da/dt = b - w^2 v
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +55,7 @@ class Transition:
 
     def then(self, later: Transition) -> Transition:
         """Both steps as one."""
-        return Transition(later.phi @ self.phi, later.phi @ self.q @ later.phi.T + later.q)
+        return Transition(*then(self.phi, self.q, later.phi, later.q))
 
 
 @dataclass(frozen=True)
@@ -138,7 +143,7 @@ class ErrorModel:
         """From one epoch to the next."""
         dt = after.time_s - before.time_s
         n = self.inertial
-        phi, q = np.eye(self.size), np.zeros((self.size, self.size))
+        phi, q = np.zeros((self.size, self.size)), np.zeros((self.size, self.size))
         if self.level == "strapdown":
             from terranav.ins.strapdown_error import transition
 
@@ -146,8 +151,9 @@ class ErrorModel:
         else:
             phi[:n, :n], q[:n, :n] = _planar(self.ins, self.level, dt)
         travelled = math.hypot(*offset_of(before.lat_deg, before.lon_deg, after.lat_deg, after.lon_deg))
-        for chart in self.maps:
-            i = self.bias_index(chart.kind)
+        for number, chart in enumerate(self.maps):
+            i = n + 2 * number
+            phi[i, i] = 1.0
             q[i, i] = KINDS[chart.kind].bias_walk ** 2 * dt
             phi[i + 1, i + 1] = math.exp(-travelled / chart.error_length_m)
             q[i + 1, i + 1] = -math.expm1(-2.0 * travelled / chart.error_length_m) * chart.sigma**2
@@ -164,32 +170,19 @@ def check_bias_sigma(name: str, bias_sigma: Mapping[str, float]) -> None:
         finite(f"{name} bias_sigma {kind}", sigma, minimum=0.0)
 
 
-@lru_cache(maxsize=512)
 def _planar(ins: InsGrade, level: Level, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Transition and noise of the inertial states that do not turn with the vehicle: both axes alike."""
-    states = 2 if level == "position" else 4
-    f, noise = np.zeros((states, states)), np.zeros((states, states))
-    f[0, 1] = 1.0
-    noise[0, 0] = ins.position_walk_m_per_sqrt_s**2
-    noise[1, 1] = ins.velocity_walk_mps_per_sqrt_s**2 + (ins.accel_walk_mps_per_sqrt_h / 60.0) ** 2
-    if level == "schuler":
-        f[1, 2] = f[2, 3] = 1.0
-        f[2, 1] = -(SCHULER_RAD_PER_S**2)
-        noise[2, 2] = (GRAVITY_MPS2 * math.radians(ins.gyro_walk_deg_per_sqrt_h) / 60.0) ** 2
-    phi, q = discretised(f, noise, dt)
-    both = np.eye(2)
-    return np.asarray(np.kron(phi, both)), np.asarray(np.kron(q, both))
-
-
-def discretised(f: FloatArray, noise: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Transition and covariance over dt of dx/dt = f x + white noise of this spectral density.
-
-    Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Automatic Control 23 (1978), 395-404.
-    """
-    n = len(f)
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:], block[n:, n:] = -f, noise, f.T
-    whole = expm(block * dt)
-    phi = whole[n:, n:].T
-    q = phi @ whole[:n, n:]
-    return phi, 0.5 * (q + q.T)
+    """Transition and noise (n, n) of the inertial states that do not turn with the vehicle: both axes alike."""
+    walk2 = ins.position_walk_m_per_sqrt_s**2
+    speed2 = ins.velocity_walk_mps_per_sqrt_s**2 + (ins.accel_walk_mps_per_sqrt_h / 60.0) ** 2
+    if level == "position":
+        phi = np.array(((1.0, dt), (0.0, 1.0)))
+        cross = 0.5 * speed2 * dt * dt
+        q = np.array(((walk2 * dt + speed2 * dt**3 / 3.0, cross), (cross, speed2 * dt)))
+    else:
+        turn2 = (GRAVITY_MPS2 * math.radians(ins.gyro_walk_deg_per_sqrt_h) / 60.0) ** 2
+        phi, q = discretised(_SCHULER_LOOP, np.sqrt(np.diag((walk2, speed2, turn2, 0.0))), dt)
+    n = 2 * len(phi)
+    phi2, q2 = np.zeros((n, n)), np.zeros((n, n))
+    phi2[::2, ::2] = phi2[1::2, 1::2] = phi
+    q2[::2, ::2] = q2[1::2, 1::2] = q
+    return phi2, q2

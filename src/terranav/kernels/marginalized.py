@@ -1,4 +1,8 @@
-"""Marginalised particles: rows of a cloud are (position error north, east, conditional means of the linear states)."""
+"""Marginalised particles: row i of a cloud is state i of all particles, the first two the position error north, east.
+
+A cloud is worked through in blocks of BLOCK particles, whose rows stay in the first cache, and every sum runs over
+vector registers.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +10,110 @@ import math
 
 import numpy as np
 
-from terranav.kernels.fastmath import fast_exp
 from terranav.kernels.jit import jit
-from terranav.kernels.sampling import bilinear_at
 
 BINS = 48  # per axis, of the histogram that measures a cloud's area
-COMMON = 4  # positions and velocities: columns that the noise of a step has nothing in common with
-INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
+COMMON = 4  # positions and velocities: rows that the noise of a step has nothing in common with
+BLOCK = 512
+SUMS = {"contract", "reassoc"}  # sums in any order, so that they run over vector registers; NaN keeps its meaning
+
+
+@jit(fastmath=SUMS)
+def add_moments(block, weight, scaled, first, second):
+    """Add weighted sums: first[i] += sum(w x_i), second[i, j] += sum(w x_i x_j) for j <= i.
+
+    Parameters
+    ----------
+    block : (n, k) float64, weight : (k,) float64
+    scaled : (k,) float64, scratch
+    first : (n,), second : (n, n) float64, added to
+    """
+    for i in range(len(block)):
+        row, total = block[i], 0.0
+        for k in range(weight.size):
+            each = weight[k] * row[k]
+            scaled[k] = each
+            total += each
+        first[i] += total
+        for j in range(0, i + 1, 4):  # four products for each number fetched
+            one, two, three, four = block[j], block[min(j + 1, i)], block[min(j + 2, i)], block[min(j + 3, i)]
+            a, b, c, d = 0.0, 0.0, 0.0, 0.0
+            for k in range(weight.size):
+                each = scaled[k]
+                a += each * one[k]
+                b += each * two[k]
+                c += each * three[k]
+                d += each * four[k]
+            second[i, j] += a
+            if j + 1 <= i:
+                second[i, j + 1] += b
+            if j + 2 <= i:
+                second[i, j + 2] += c
+            if j + 3 <= i:
+                second[i, j + 3] += d
 
 
 @jit
-def advance(cloud, weight, phi, spread, noise, out):
-    """Move every particle: out[k] = phi cloud[k] + spread noise*[k].
+def centred(first, second, centre, mean, cov):
+    """Mean and covariance from the sums of `add_moments` about a centre; all (n,) and (n, n), the last two written."""
+    for i in range(first.size):
+        mean[i] = centre[i] + first[i]
+        for j in range(i + 1):
+            cov[i, j] = second[i, j] - first[i] * first[j]
+            cov[j, i] = cov[i, j]
+
+
+@jit(fastmath=SUMS)
+def _carried(rows, factors, start, out):
+    """out[k] = sum of factors[j] rows[j, start + k]; states without a factor are not looked at."""
+    used, count = np.empty(factors.size, np.int64), 0
+    for j in range(factors.size):
+        if factors[j] != 0.0:
+            used[count] = j
+            count += 1
+    out[:] = 0.0
+    stop = start + out.size
+    for n in range(0, count, 3):
+        i, j, k = used[n], used[min(n + 1, count - 1)], used[min(n + 2, count - 1)]
+        a, b, c = factors[i], factors[j] if n + 1 < count else 0.0, factors[k] if n + 2 < count else 0.0
+        one, two, three = rows[i, start:stop], rows[j, start:stop], rows[k, start:stop]
+        for k in range(out.size):
+            out[k] += a * one[k] + b * two[k] + c * three[k]
+
+
+@jit
+def _whitening(square, own):
+    """Rows (2, n) that make of the last two of n variables what they have of their own, with unit covariance.
+
+    By the Cholesky factor of their covariance (n, n); a variable that the ones before it explain is left out.
+    """
+    n = len(square)
+    root = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            left = square[i, j]
+            for k in range(j):
+                left -= root[i, k] * root[j, k]
+            if i == j:
+                floor = 1e-3 if i >= n - 2 else 1e-10 * square[i, i]
+                root[i, i] = math.sqrt(left) if left > floor else 0.0
+                if i >= n - 2 and root[i, i] == 0.0:
+                    root[i, i] = math.sqrt(floor)
+            elif root[j, j] > 0.0:
+                root[i, j] = left / root[j, j]
+    white = np.empty(n)
+    for c in range(n):  # forward substitution of the unit vectors
+        for i in range(n):
+            left = 1.0 if i == c else 0.0
+            for j in range(i):
+                left -= root[i, j] * white[j]
+            white[i] = left / root[i, i] if root[i, i] > 0.0 else 0.0
+        own[0, c], own[1, c] = white[n - 2], white[n - 1]
+
+
+@jit(fastmath=SUMS)
+def advance(cloud, weight, mean, phi, spread, noise, out):
+    """Move every particle: phi x + spread noise*.
 
     noise* are the given normal numbers, shifted and mixed to mean zero, unit covariance, and none in common with the
     predicted positions and velocities, all under the weights: so the cloud's covariance grows by exactly that of the
@@ -25,138 +121,94 @@ def advance(cloud, weight, phi, spread, noise, out):
 
     Parameters
     ----------
-    cloud : (m, d) float64, d >= COMMON
+    cloud : (d, m) float64, d >= COMMON
     weight : (m,) float64, sums to one
+    mean : (d,) float64, about the mean of the cloud: squares of far positions would swamp the products
     phi : (d, d) float64
     spread : (d, 2) float64
-    noise : (m, 2) float64, standard normal
-    out : (m, d) float64, written
+    noise : (2, m) float64, standard normal
+    out : (d, m) float64, written
     """
-    m, d = cloud.shape
-    n = COMMON
-    mean, square = np.zeros(n + 2), np.zeros((n + 2, n + 2))  # of the columns COMMON and of the noise
-    row = np.empty(n + 2)
-    for k in range(m):
+    d, m = cloud.shape
+    n = COMMON + 2
+    block, scaled, expected = np.empty((n, BLOCK)), np.empty(BLOCK), np.zeros(n)
+    first, second, square, own = np.zeros(n), np.zeros((n, n)), np.empty((n, n)), np.empty((2, n))
+    for i in range(COMMON):
+        for j in range(d):
+            expected[i] += phi[i, j] * mean[j]
+    for start in range(0, m, BLOCK):
+        width = min(BLOCK, m - start)
+        for i in range(COMMON):
+            row = block[i, :width]
+            _carried(cloud, phi[i], start, row)
+            for k in range(width):
+                row[k] -= expected[i]
+        block[COMMON, :width], block[COMMON + 1, :width] = (
+            noise[0, start : start + width],
+            noise[1, start : start + width],
+        )
+        add_moments(block[:, :width], weight[start : start + width], scaled[:width], first, second)
+    centred(first, second, np.zeros(n), np.empty(n), square)
+    _whitening(square, own)
+    constant = np.zeros(2)
+    for c in range(n):
+        constant[0] -= own[0, c] * (expected[c] + first[c])
+        constant[1] -= own[1, c] * (expected[c] + first[c])
+    for start in range(0, m, BLOCK):
+        width = min(BLOCK, m - start)
+        stop = start + width
+        for i in range(COMMON):
+            _carried(cloud, phi[i], start, out[i, start:stop])
+        r0, r1, r2, r3 = out[0, start:stop], out[1, start:stop], out[2, start:stop], out[3, start:stop]
+        e0, e1, w0, w1 = noise[0, start:stop], noise[1, start:stop], block[0, :width], block[1, :width]
+        a0, a1, a2, a3, a4, a5 = own[0]
+        b0, b1, b2, b3, b4, b5 = own[1]
+        for k in range(width):
+            w0[k] = constant[0] + a0 * r0[k] + a1 * r1[k] + a2 * r2[k] + a3 * r3[k] + a4 * e0[k] + a5 * e1[k]
+            w1[k] = constant[1] + b0 * r0[k] + b1 * r1[k] + b2 * r2[k] + b3 * r3[k] + b4 * e0[k] + b5 * e1[k]
         for i in range(d):
-            total = 0.0
-            for j in range(d):
-                total += phi[i, j] * cloud[k, j]
-            out[k, i] = total
-        for i in range(n):
-            mean[i] += weight[k] * out[k, i]
-        mean[n] += weight[k] * noise[k, 0]
-        mean[n + 1] += weight[k] * noise[k, 1]
-    for k in range(m):  # about the mean, or the squares of far positions swamp the products
-        for i in range(n):
-            row[i] = out[k, i] - mean[i]
-        row[n], row[n + 1] = noise[k, 0] - mean[n], noise[k, 1] - mean[n + 1]
-        for i in range(n + 2):
-            scaled = weight[k] * row[i]
-            for j in range(i + 1):
-                square[i, j] += scaled * row[j]
-    root = np.zeros((n + 2, n + 2))  # Cholesky of `square`; a column that the ones before it explain is left out
-    for i in range(n + 2):
-        for j in range(i + 1):
-            left = square[i, j]
-            for k in range(j):
-                left -= root[i, k] * root[j, k]
-            if i == j:
-                floor = 1e-3 if i >= n else 1e-10 * square[i, i]
-                root[i, i] = math.sqrt(left) if left > floor else 0.0
-                if i >= n and root[i, i] == 0.0:
-                    root[i, i] = math.sqrt(floor)
-            elif root[j, j] > 0.0:
-                root[i, j] = left / root[j, j]
-    white = np.empty(n + 2)
-    for k in range(m):  # whitened by forward substitution, the last two are what the noise has of its own
-        for i in range(n + 2):
-            left = out[k, i] - mean[i] if i < n else noise[k, i - n] - mean[i]
-            for j in range(i):
-                left -= root[i, j] * white[j]
-            white[i] = left / root[i, i] if root[i, i] > 0.0 else 0.0
+            row = out[i, start:stop]
+            if i >= COMMON:
+                _carried(cloud, phi[i], start, row)
+            a, b = spread[i, 0], spread[i, 1]
+            for k in range(width):
+                row[k] += a * w0[k] + b * w1[k]
+
+
+@jit(fastmath=SUMS)
+def moments(cloud, weight):
+    """Mean (d,) and covariance (d, d) of a cloud (d, m) under the weights (m,)."""
+    d, m = cloud.shape
+    mean, cov, centre = np.zeros(d), np.zeros((d, d)), np.empty(d)
+    first, second = np.zeros(d), np.zeros((d, d))
+    for i in range(d):
+        row, total = cloud[i], 0.0
+        for k in range(m):
+            total += weight[k] * row[k]
+        centre[i] = total
+    block, scaled = np.empty((d, BLOCK)), np.empty(BLOCK)
+    for start in range(0, m, BLOCK):
+        width = min(BLOCK, m - start)
         for i in range(d):
-            out[k, i] += spread[i, 0] * white[n] + spread[i, 1] * white[n + 1]
+            row, away = cloud[i, start : start + width], block[i, :width]
+            for k in range(width):
+                away[k] = row[k] - centre[i]
+        add_moments(block[:, :width], weight[start : start + width], scaled[:width], first, second)
+    first[:] = 0.0  # the centre is the mean but for rounding
+    centred(first, second, centre, mean, cov)
+    return mean, cov
 
 
 @jit
-def compare(values, frame, cloud, state, residual, slope2):
-    """What a reading leaves at each particle, and how steep the map is there.
-
-    Parameters
-    ----------
-    values : (rows, cols) float32, the map, NaN where void
-    frame : (2, 6) float64, row and column coefficients of the LocalFrame at the indicated position
-    cloud : (m, d) float64
-    state : (2,) float64, the reading's value and the index of its bias, the patch being the next
-    residual : (m,) written: value - map - bias - patch, NaN where the map says nothing
-    slope2 : (m,) written: squared slope of the map [unit^2/m^2]
-    """
-    r0, r1, r2, r3, r4, r5 = frame[0]
-    c0, c1, c2, c3, c4, c5 = frame[1]
-    rows, cols = values.shape
-    flat, width = values.reshape(values.size), np.int64(cols)
-    top, right = rows - 1.0, cols - 1.0
-    value, bias = state[0], int(state[1])
-    for k in range(residual.size):
-        n, e = -cloud[k, 0], -cloud[k, 1]
-        row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
-        col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
-        inside = (row >= 0.0) & (row <= top) & (col >= 0.0) & (col <= right)
-        row, col = (row if row > 0.0 else 0.0), (col if col > 0.0 else 0.0)
-        y, x = np.int64(min(row, top - 1.0)), np.int64(min(col, right - 1.0))
-        u, v = min(row, top) - y, min(col, right) - x
-        at = np.uint64(y * width + x)
-        below = at + np.uint64(width)
-        one, two = np.float64(flat[at]), np.float64(flat[at + np.uint64(1)])
-        three, four = np.float64(flat[below]), np.float64(flat[below + np.uint64(1)])
-        low, high = one + v * (two - one), three + v * (four - three)
-        by_row, by_col = high - low, (1.0 - u) * (two - one) + u * (four - three)
-        north, east = by_row * r1 + by_col * c1, by_row * r2 + by_col * c2
-        h = low + u * by_row
-        residual[k] = value - h - cloud[k, bias] - cloud[k, bias + 1] if inside else np.nan
-        slope2[k] = north * north + east * east
-    for k in range(residual.size):
-        if residual[k] != residual[k]:
-            n, e = -cloud[k, 0], -cloud[k, 1]
-            row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
-            col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
-            residual[k] = value - bilinear_at(values, row, col) - cloud[k, bias] - cloud[k, bias + 1]
-            slope2[k] = 0.0 if slope2[k] != slope2[k] else slope2[k]
+def regime(bad, share, keep, out):
+    """Let the bad regimes (kinds, m) come and go: out = share + keep (bad - share); keep : (kinds,)."""
+    for i in range(len(bad)):
+        row, after, stay = bad[i], out[i], keep[i]
+        for k in range(row.size):
+            after[k] = share + stay * (row[k] - share)
 
 
-@jit
-def predicted(weight, residual, slope2, noise, common):
-    """What was expected of a reading.
-
-    Parameters
-    ----------
-    weight, residual, slope2 : (m,), the latter two of `compare`
-    noise : (2,) variance of the white noise is noise[0] + noise[1] slope2 [unit^2], [m^2]
-    common : variance that bias and patch add, equal for all particles [unit^2]
-
-    Returns
-    -------
-    known : share of the weight where the map says something
-    mean, variance : of the residual
-    white : mean of the white part of the variance
-    """
-    known, mean, square, white = 0.0, 0.0, 0.0, 0.0
-    for k in range(weight.size):
-        r, w = residual[k], weight[k]
-        there = r == r
-        w = w if there else 0.0
-        r = r if there else 0.0
-        known += w
-        mean += w * r
-        square += w * r * r
-        white += w * (noise[0] + noise[1] * slope2[k])
-    if known <= 0.0:
-        return 0.0, np.nan, np.nan, np.nan
-    mean, white = mean / known, white / known
-    return known, mean, max(square / known - mean * mean, 0.0) + white + common, white
-
-
-@jit
+@jit(fastmath=SUMS)
 def effective(weight):
     """Effective number of particles, 1 / sum(w^2); no BLAS, which would wake its threads for a long vector."""
     power = 0.0
@@ -166,149 +218,20 @@ def effective(weight):
 
 
 @jit
-def mean_known(weight, residual, value):
-    """Mean of a value under the weights where the map says something, 0 where it says nothing."""
-    known, total = 0.0, 0.0
-    for k in range(weight.size):
-        if residual[k] == residual[k]:
-            known += weight[k]
-            total += weight[k] * value[k]
-    return total / known if known > 0.0 else 0.0
-
-
-@jit
-def evidence(weight, residual, slope2, bad, noise, common, reach, scales, out):
-    """Likelihood of a reading under each of several scales of the noise, over every few particles.
-
-    Parameters
-    ----------
-    weight, residual, slope2, noise : as in `predicted`
-    bad : (m,) probability of the bad regime
-    common : (2,) variance of the bias, and of the patch at scale 1 [unit^2]
-    reach : half width of the Cauchy density of the bad regime [unit]
-    scales : (s,) factors of the variance of noise and patch
-    out : (s,) written
-    """
-    stride = max(weight.size // 512, 1)
-    out[:] = 0.0
-    known = 0.0
-    for k in range(0, weight.size, stride):
-        r = residual[k]
-        if r == r:
-            known += weight[k]
-            white = noise[0] + noise[1] * slope2[k] + common[1]
-            far = bad[k] * reach / (math.pi * (reach * reach + r * r))
-            for j in range(scales.size):
-                precision = 1.0 / (scales[j] * white + common[0])
-                near = math.sqrt(precision) * INV_SQRT_2PI * fast_exp(-0.5 * r * r * precision)
-                out[j] += weight[k] * ((1.0 - bad[k]) * near + far)
-    if known > 0.0:
-        out /= known
-    else:
-        out[:] = 1.0
-
-
-@jit
-def weigh(rows, weight, bad, residual, slope2, noise, common, reach, gain, out_rows, out_weight, out_bad):
-    """Multiply the weights by the likelihood of a reading and update the conditional means and the regimes.
-
-    Parameters
-    ----------
-    rows, weight, bad : the particles before: (m, d), (m,), probability of the bad regime (m,)
-    residual, slope2 : of `compare`
-    noise : (2,) as in `predicted`
-    common : variance of bias + patch [unit^2]
-    reach : half width of the Cauchy density of the bad regime [unit]
-    gain : (d,) covariance of the linear states with bias + patch
-    out_rows, out_weight, out_bad : written
-
-    Returns
-    -------
-    likely : mean likelihood of the known particles, 0 when the reading contradicts every one and nothing was changed
-    effective : 1 / sum(w^2) of the new weights
-    shrink, widen : the common covariance becomes C - (shrink - widen) gain gain'
-    """
-    m, d = rows.shape
-    total, known, power = 0.0, 0.0, 0.0
-    for k in range(m):
-        r, w = residual[k], weight[k]
-        there = r == r
-        r = r if there else 0.0
-        precision = 1.0 / (noise[0] + noise[1] * slope2[k] + common)
-        near = (1.0 - bad[k]) * math.sqrt(precision) * INV_SQRT_2PI * fast_exp(-0.5 * r * r * precision)
-        far = bad[k] * reach / (math.pi * (reach * reach + r * r))
-        likely = near + far
-        out_weight[k] = w * likely if there else -1.0
-        out_bad[k] = far / likely if there else bad[k]
-        total += w * likely if there else 0.0
-        known += w if there else 0.0
-        power += w * w
-    if not total > 1e-280:
-        out_rows[:], out_weight[:], out_bad[:] = rows, weight, bad
-        return 0.0, 1.0 / power, 0.0, 0.0
-    average = total / known
-    norm = 1.0 / (total + average * (1.0 - known))
-    power, shrink, widen = 0.0, 0.0, 0.0
-    for k in range(m):
-        there = out_weight[k] >= 0.0
-        p = norm * (out_weight[k] if there else weight[k] * average)
-        out_weight[k] = p
-        power += p * p
-        good = 1.0 - out_bad[k] if there else 0.0
-        pull = good / (noise[0] + noise[1] * slope2[k] + common)
-        r = residual[k] if there else 0.0
-        step = r * pull
-        for i in range(d):
-            out_rows[k, i] = rows[k, i] + gain[i] * step
-        shrink += p * pull
-        widen += p * good * (1.0 - good) * (r * pull / max(good, 1e-300)) ** 2 if good > 0.0 else 0.0
-    return average, 1.0 / power, shrink, widen
-
-
-@jit
-def regime(bad, share, keep, out):
-    """Let the bad regime come and go: out = share + keep (bad - share)."""
-    for k in range(bad.size):
-        out[k] = share + keep * (bad[k] - share)
-
-
-@jit
-def moments(cloud, weight):
-    """Mean (d,) and covariance (d, d) of the rows under the weights."""
-    m, d = cloud.shape
-    mean, cov = np.zeros(d), np.zeros((d, d))
-    for k in range(m):
-        for i in range(d):
-            mean[i] += weight[k] * cloud[k, i]
-    away = np.empty(d)
-    for k in range(m):
-        for i in range(d):
-            away[i] = cloud[k, i] - mean[i]
-        for i in range(d):
-            scaled = weight[k] * away[i]
-            for j in range(i + 1):
-                cov[i, j] += scaled * away[j]
-    for i in range(d):
-        for j in range(i):
-            cov[j, i] = cov[i, j]
-    return mean, cov
-
-
-@jit
 def area(cloud, weight):
-    """Area that the positions cover: exp(entropy) of their histogram times its bin [m^2]."""
+    """Area that the positions of a cloud (d, m) cover: exp(entropy) of their histogram times its bin [m^2]."""
     m = weight.size
     low_n, high_n, low_e, high_e = np.inf, -np.inf, np.inf, -np.inf
-    floor = 1e-4 / m
+    floor, north, east = 1e-4 / m, cloud[0], cloud[1]
     for k in range(m):
-        if weight[k] > floor:
-            low_n, high_n = min(low_n, cloud[k, 0]), max(high_n, cloud[k, 0])
-            low_e, high_e = min(low_e, cloud[k, 1]), max(high_e, cloud[k, 1])
+        there = weight[k] > floor
+        low_n, high_n = min(low_n, north[k] if there else np.inf), max(high_n, north[k] if there else -np.inf)
+        low_e, high_e = min(low_e, east[k] if there else np.inf), max(high_e, east[k] if there else -np.inf)
     step_n, step_e = (high_n - low_n) / BINS + 1e-9, (high_e - low_e) / BINS + 1e-9
     mass = np.zeros((BINS, BINS))
     for k in range(m):
         if weight[k] > floor:
-            i, j = int((cloud[k, 0] - low_n) / step_n), int((cloud[k, 1] - low_e) / step_e)
+            i, j = int((north[k] - low_n) / step_n), int((east[k] - low_e) / step_e)
             mass[min(i, BINS - 1), min(j, BINS - 1)] += weight[k]
     entropy = 0.0
     for i in range(BINS):
@@ -319,28 +242,49 @@ def area(cloud, weight):
 
 
 @jit
-def resampled(rows, weight, bad, offset, centre, keep, spread, noise, out_rows, out_bad):
+def _chosen(weight, offset, source):
+    """Systematic resampling without branches: source[k] is the particle whose share of the weight holds (k + offset)/n.
+
+    Each particle leaves its number where its share begins; a later one that begins at the same place overwrites it.
+    What has no number of its own belongs to the particle before.
+    """
+    n, m = source.size, weight.size
+    source[:] = 0
+    reached, one = 0.0, n * 1.0
+    for s in range(1, m):
+        reached += weight[s - 1]
+        at = math.ceil(reached * one - offset)
+        at = 0.0 if at < 0.0 else at
+        if at < one:  # true for all but the last few
+            source[np.int64(at)] = s
+    last = 0
+    for k in range(n):
+        last = max(last, source[k])
+        source[k] = last
+
+
+@jit(fastmath=SUMS)
+def resampled(cloud, weight, bad, offset, centre, keep, spread, noise, out, out_bad):
     """Systematic resampling to equal weights with a kernel: centre + keep (chosen - centre) + spread noise.
 
     Parameters
     ----------
-    rows : (m, d), weight : (m,) that sums to one, bad : (m, kinds)
+    cloud : (d, m), weight : (m,) that sums to one, bad : (kinds, m)
     offset : float in [0, 1)
     centre : (d,) mean of the cloud
     keep : float, how far the particles are drawn towards the mean, to make room for the kernel
-    spread : (d, 2), noise : (n, 2) standard normal
-    out_rows, out_bad : (n, d), (n, kinds) written; n need not be m
+    spread : (d, 2), noise : (2, n) standard normal
+    out, out_bad : (d, n), (kinds, n) written; n need not be m
     """
-    m, d = rows.shape
-    n = len(out_rows)
-    source, reached = 0, weight[0]
-    for k in range(n):
-        level = (k + offset) / n
-        while reached <= level and source < m - 1:
-            source += 1
-            reached += weight[source]
-        for i in range(d):
-            away = keep * (rows[source, i] - centre[i])
-            out_rows[k, i] = centre[i] + away + spread[i, 0] * noise[k, 0] + spread[i, 1] * noise[k, 1]
-        for j in range(bad.shape[1]):
-            out_bad[k, j] = bad[source, j]
+    d, n = out.shape
+    source = np.empty(n, np.int64)
+    _chosen(weight, offset, source)
+    e0, e1 = noise[0], noise[1]
+    for i in range(d):
+        row, drawn, a, b, rest = cloud[i], out[i], spread[i, 0], spread[i, 1], (1.0 - keep) * centre[i]
+        for k in range(n):
+            drawn[k] = rest + keep * row[np.uint64(source[k])] + a * e0[k] + b * e1[k]
+    for i in range(len(bad)):
+        row, drawn = bad[i], out_bad[i]
+        for k in range(n):
+            drawn[k] = row[np.uint64(source[k])]

@@ -7,59 +7,63 @@ import math
 import numpy as np
 
 from terranav.kernels.jit import jit
+from terranav.kernels.marginalized import SUMS
+from terranav.kernels.matrices import bayes, congruent
 
 
-@jit
-def linearised(rows, weight, residual, bias):
+@jit(fastmath=SUMS)
+def linearised(cloud, weight, residual, bias, centre):
     """The map as a plane over a cloud: what a reading less bias and patch would be, by least squares under the weights.
 
     Parameters
     ----------
-    rows : (m, d), weight : (m,), residual : (m,) of `kernels.marginalized.compare`
-    bias : index of the bias, the patch being the next
+    cloud : (d, m), weight : (m,), residual : (m,) value - map - bias - patch, NaN where the map says nothing
+    bias : row of the bias, the patch being the next
+    centre : (d,) about the mean of the cloud
 
     Returns
     -------
-    (6,) mean position (2), minus mean height against the reading, slope by position error (2), mean square left over;
-    the third is mean(reading - height). NaN where the map says nothing.
+    (6,) mean position (2), mean of the reading less the map, slope by position error (2), mean square left over.
+    NaN where the map says nothing.
     """
     out = np.full(6, np.nan)
-    total, a, b, h = 0.0, 0.0, 0.0, 0.0
+    north, east, own, patch = cloud[0], cloud[1], cloud[bias], cloud[bias + 1]
+    a, b, h = centre[0], centre[1], 0.0
+    for k in range(weight.size):
+        if residual[k] == residual[k]:
+            h = residual[k] + own[k] + patch[k]
+            break
+    total, ma, mb, mh, aa, ab, bb, ha, hb, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(weight.size):
         r = residual[k]
-        if r == r:
-            w = weight[k]
-            total += w
-            a += w * rows[k, 0]
-            b += w * rows[k, 1]
-            h += w * (r + rows[k, bias] + rows[k, bias + 1])
+        w = weight[k] if r == r else 0.0
+        u, v, g = north[k] - a, east[k] - b, (r + own[k] + patch[k] - h if r == r else 0.0)
+        total += w
+        ma += w * u
+        mb += w * v
+        mh += w * g
+        aa += w * u * u
+        ab += w * u * v
+        bb += w * v * v
+        ha += w * g * u
+        hb += w * g * v
+        hh += w * g * g
     if total <= 0.5:
         return out
-    a, b, h = a / total, b / total, h / total
-    aa, ab, bb, ha, hb, hh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(weight.size):
-        r = residual[k]
-        if r == r:
-            w = weight[k]
-            u, v, g = rows[k, 0] - a, rows[k, 1] - b, r + rows[k, bias] + rows[k, bias + 1] - h
-            aa += w * u * u
-            ab += w * u * v
-            bb += w * v * v
-            ha += w * g * u
-            hb += w * g * v
-            hh += w * g * g
+    aa, ab, bb = aa - ma * ma / total, ab - ma * mb / total, bb - mb * mb / total
+    ha, hb, hh = ha - mh * ma / total, hb - mh * mb / total, hh - mh * mh / total
     det = aa * bb - ab * ab
     if det <= 1e-12 * (aa + bb) ** 2:
         return out
-    north, east = (ha * bb - hb * ab) / det, (hb * aa - ha * ab) / det
-    out[0], out[1], out[2] = a, b, h
-    out[3], out[4] = -north, -east
-    out[5] = max(hh - north * ha - east * hb, 0.0) / total
+    rise_n, rise_e = (ha * bb - hb * ab) / det, (hb * aa - ha * ab) / det
+    out[0], out[1], out[2] = a + ma / total, b + mb / total, h + mh / total
+    out[3], out[4] = -rise_n, -rise_e
+    out[5] = max(hh - rise_n * ha - rise_e * hb, 0.0) / total
     return out
 
 
 @jit
-def stepped(mean, cov, phi, q, inertial, factors, out_mean, out_cov):
+def stepped(mean, cov, phi, q, inertial, factors):
     """Predict every filter: the inertial block (inertial states) of q times the filter's factor.
 
     Parameters
@@ -68,47 +72,56 @@ def stepped(mean, cov, phi, q, inertial, factors, out_mean, out_cov):
     phi, q : (d, d)
     inertial : int, states of the INS
     factors : (L,) of the variance
-    out_mean, out_cov : written
+
+    Returns
+    -------
+    mean, cov : new arrays of the same shapes
     """
-    for j in range(len(mean)):
-        out_mean[j] = phi @ mean[j]
-        grown = phi @ cov[j] @ phi.T
-        for i in range(len(phi)):
-            for k in range(len(phi)):
-                factor = factors[j] if i < inertial and k < inertial else 1.0
-                out_cov[j, i, k] = grown[i, k] + factor * q[i, k]
+    d = len(phi)
+    out_mean, out_cov = np.zeros(mean.shape), np.empty(cov.shape)
+    for n in range(len(mean)):
+        congruent(phi, cov[n], out_cov[n])
+        for i in range(d):
+            for j in range(d):
+                factor = factors[n] if i < inertial and j < inertial else 1.0
+                out_cov[n, i, j] += factor * q[i, j]
+                out_mean[n, i] += phi[i, j] * mean[n, j]
+    return out_mean, out_cov
 
 
 @jit
-def corrected(mean, cov, row, value, noise, outlier, use, out_mean, out_cov, likelihood):
-    """Update every filter by the reading value = row x + noise.
+def corrected(mean, cov, slope, bias, value, noise, share, reach, use, prior):
+    """Update every filter by the reading value = slope p + bias + patch + noise, and the probabilities of the filters.
 
     Parameters
     ----------
     mean : (L, d), cov : (L, d, d)
-    row : (d,)
+    slope : (2,) by position
+    bias : int, index of the bias, the patch being the next
     value, noise : the reading, and the variance of its noise
-    outlier : (2,) probability of an outlier, and the half width of its Cauchy density
+    share, reach : probability of an outlier, and the half width of its Cauchy density
     use : bool, False where the reading is one: then it weighs the filters but corrects none
-    out_mean, out_cov : written
-    likelihood : (L,) written
+    prior : (L,) probability of each filter
+
+    Returns
+    -------
+    probability, mean, cov : new arrays of the same shapes
     """
-    d = row.size
-    for j in range(len(mean)):
-        out_mean[j], out_cov[j] = mean[j], cov[j]
-        gain, left = np.zeros(d), value
+    d = mean.shape[1]
+    out_mean, out_cov, likelihood = mean.copy(), cov.copy(), np.empty(len(mean))
+    gain = np.empty(d)
+    for n in range(len(mean)):
+        at, spread = mean[n], cov[n]
+        left = value - slope[0] * at[0] - slope[1] * at[1] - at[bias] - at[bias + 1]
         for i in range(d):
-            left -= row[i] * mean[j, i]
-            for k in range(d):
-                gain[i] += cov[j, i, k] * row[k]
-        spread = noise
-        for i in range(d):
-            spread += row[i] * gain[i]
-        near = math.exp(-0.5 * left * left / spread) / math.sqrt(2.0 * math.pi * spread)
-        far = outlier[1] / (math.pi * (outlier[1] * outlier[1] + left * left))
-        likelihood[j] = (1.0 - outlier[0]) * near + outlier[0] * far
+            gain[i] = slope[0] * spread[i, 0] + slope[1] * spread[i, 1] + spread[i, bias] + spread[i, bias + 1]
+        total = noise + slope[0] * gain[0] + slope[1] * gain[1] + gain[bias] + gain[bias + 1]
+        near = math.exp(-0.5 * left * left / total) / math.sqrt(2.0 * math.pi * total)
+        far = reach / (math.pi * (reach * reach + left * left))
+        likelihood[n] = (1.0 - share) * near + share * far
         if use:
             for i in range(d):
-                out_mean[j, i] += gain[i] * left / spread
-                for k in range(d):
-                    out_cov[j, i, k] -= gain[i] * gain[k] / spread
+                out_mean[n, i] += gain[i] * left / total
+                for j in range(d):
+                    out_cov[n, i, j] -= gain[i] * gain[j] / total
+    return bayes(prior, likelihood), out_mean, out_cov
