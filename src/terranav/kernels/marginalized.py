@@ -14,71 +14,129 @@ from terranav.kernels.jit import jit
 
 BINS = 48  # per axis, of the histogram that measures a cloud's area
 COMMON = 4  # positions and velocities: rows that the noise of a step has nothing in common with
-BLOCK = 512
+BLOCK = 1024
 SUMS = {"contract", "reassoc"}  # sums in any order, so that they run over vector registers; NaN keeps its meaning
 
 
+@jit
+def block_of(states):
+    """Scratch for `add_moments`: a row a state, then one of ones, then zeros up to a multiple of four."""
+    block = np.zeros((states // 4 * 4 + 4, BLOCK))
+    block[states] = 1.0
+    return block
+
+
 @jit(fastmath=SUMS)
-def add_moments(block, weight, scaled, first, second):
-    """Add weighted sums: first[i] += sum(w x_i), second[i, j] += sum(w x_i x_j) for j <= i.
+def add_moments(block, weight, sums):
+    """Add weighted sums: sums[i, j] += sum(w x_i x_j), at least for j <= i.
+
+    Four rows by four at a time: sixteen sums stay in registers, and each number fetched serves four of them.
 
     Parameters
     ----------
-    block : (n, k) float64, weight : (k,) float64
-    scaled : (k,) float64, scratch
-    first : (n,), second : (n, n) float64, added to
+    block : (n, BLOCK) float64, n a multiple of four; its row of ones makes means
+    weight : (k,) float64, k <= BLOCK
+    sums : (n, n) float64, added to
     """
-    for i in range(len(block)):
-        row, total = block[i], 0.0
-        for k in range(weight.size):
-            each = weight[k] * row[k]
-            scaled[k] = each
-            total += each
-        first[i] += total
-        for j in range(0, i + 1, 4):  # four products for each number fetched
-            one, two, three, four = block[j], block[min(j + 1, i)], block[min(j + 2, i)], block[min(j + 3, i)]
-            a, b, c, d = 0.0, 0.0, 0.0, 0.0
-            for k in range(weight.size):
-                each = scaled[k]
-                a += each * one[k]
-                b += each * two[k]
-                c += each * three[k]
-                d += each * four[k]
-            second[i, j] += a
-            if j + 1 <= i:
-                second[i, j + 1] += b
-            if j + 2 <= i:
-                second[i, j + 2] += c
-            if j + 3 <= i:
-                second[i, j + 3] += d
+    size = weight.size
+    for i in range(0, len(block), 4):
+        p, q, r, s = block[i, :size], block[i + 1, :size], block[i + 2, :size], block[i + 3, :size]
+        for j in range(0, i + 1, 4):
+            e, f, g, h = block[j, :size], block[j + 1, :size], block[j + 2, :size], block[j + 3, :size]
+            pe, pf, pg, ph, qe, qf, qg, qh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            re, rf, rg, rh, se, sf, sg, sh = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(size):
+                a, b, c, d, w = e[k], f[k], g[k], h[k], weight[k]
+                x = w * p[k]
+                pe += x * a
+                pf += x * b
+                pg += x * c
+                ph += x * d
+                x = w * q[k]
+                qe += x * a
+                qf += x * b
+                qg += x * c
+                qh += x * d
+                x = w * r[k]
+                re += x * a
+                rf += x * b
+                rg += x * c
+                rh += x * d
+                x = w * s[k]
+                se += x * a
+                sf += x * b
+                sg += x * c
+                sh += x * d
+            found = (pe, pf, pg, ph), (qe, qf, qg, qh), (re, rf, rg, rh), (se, sf, sg, sh)
+            for y in range(4):
+                for x in range(4):
+                    sums[i + y, j + x] += found[y][x]
 
 
 @jit
-def centred(first, second, centre, mean, cov):
-    """Mean and covariance from the sums of `add_moments` about a centre; all (n,) and (n, n), the last two written."""
-    for i in range(first.size):
-        mean[i] = centre[i] + first[i]
+def centred(sums, centre, mean, cov):
+    """Mean (n,) and covariance (n, n), both written, from the sums of `add_moments` about a centre (n,)."""
+    n = centre.size
+    for i in range(n):
+        mean[i] = centre[i] + sums[n, i]
         for j in range(i + 1):
-            cov[i, j] = second[i, j] - first[i] * first[j]
+            cov[i, j] = sums[i, j] - sums[n, i] * sums[n, j]
             cov[j, i] = cov[i, j]
 
 
+@jit
+def _factors(phi, used):
+    """Which states each state after a transition takes from: used[i, 0] of them, their numbers after it."""
+    for i in range(len(phi)):
+        count = 0
+        for j in range(len(phi)):
+            if phi[i, j] != 0.0:
+                count += 1
+                used[i, count] = j
+        used[i, 0] = count
+
+
 @jit(fastmath=SUMS)
-def _carried(rows, factors, start, out):
-    """out[k] = sum of factors[j] rows[j, start + k]; states without a factor are not looked at."""
-    used, count = np.empty(factors.size, np.int64), 0
-    for j in range(factors.size):
-        if factors[j] != 0.0:
-            used[count] = j
-            count += 1
-    out[:] = 0.0
-    stop = start + out.size
-    for n in range(0, count, 3):
-        i, j, k = used[n], used[min(n + 1, count - 1)], used[min(n + 2, count - 1)]
-        a, b, c = factors[i], factors[j] if n + 1 < count else 0.0, factors[k] if n + 2 < count else 0.0
-        one, two, three = rows[i, start:stop], rows[j, start:stop], rows[k, start:stop]
+def _add_four(cloud, factors, used, first, start, out):
+    """Add factors[j] cloud[j] of the states used from number `first` on, four at a time."""
+    stop, count = start + out.size, used[0]
+    for n in range(first, count + 1, 4):
+        h, i, j, k = used[n], used[min(n + 1, count)], used[min(n + 2, count)], used[min(n + 3, count)]
+        one, two, three, four = cloud[h, start:stop], cloud[i, start:stop], cloud[j, start:stop], cloud[k, start:stop]
+        a, b = factors[h], (factors[i] if n + 1 <= count else 0.0)
+        c, d = (factors[j] if n + 2 <= count else 0.0), (factors[k] if n + 3 <= count else 0.0)
+        for x in range(out.size):
+            out[x] += (a * one[x] + b * two[x]) + (c * three[x] + d * four[x])
+
+
+@jit(fastmath=SUMS)
+def _carried(cloud, factors, used, start, out):
+    """out[k] = sum of factors[j] cloud[j, start + k] over the states used (`_factors`)."""
+    stop, count = start + out.size, used[0]
+    if count == 0:
+        out[:] = 0.0
+        return
+    one, two = cloud[used[1], start:stop], cloud[used[min(2, count)], start:stop]
+    a, b = factors[used[1]], (factors[used[2]] if count > 1 else 0.0)
+    for k in range(out.size):
+        out[k] = a * one[k] + b * two[k]
+    _add_four(cloud, factors, used, 3, start, out)
+
+
+@jit(fastmath=SUMS)
+def _spread(cloud, factors, used, start, noise, by, out):
+    """As `_carried`, and by[0] noise[0] + by[1] noise[1] on top."""
+    stop, count = start + out.size, used[0]
+    e, f, c, d = noise[0, : out.size], noise[1, : out.size], by[0], by[1]
+    if count == 0:
         for k in range(out.size):
-            out[k] += a * one[k] + b * two[k] + c * three[k]
+            out[k] = c * e[k] + d * f[k]
+        return
+    one, two = cloud[used[1], start:stop], cloud[used[min(2, count)], start:stop]
+    a, b = factors[used[1]], (factors[used[2]] if count > 1 else 0.0)
+    for k in range(out.size):
+        out[k] = (a * one[k] + b * two[k]) + (c * e[k] + d * f[k])
+    _add_four(cloud, factors, used, 3, start, out)
 
 
 @jit
@@ -131,71 +189,75 @@ def advance(cloud, weight, mean, phi, spread, noise, out):
     """
     d, m = cloud.shape
     n = COMMON + 2
-    block, scaled, expected = np.empty((n, BLOCK)), np.empty(BLOCK), np.zeros(n)
-    first, second, square, own = np.zeros(n), np.zeros((n, n)), np.empty((n, n)), np.empty((2, n))
+    block, white, used = block_of(n), np.empty((2, BLOCK)), np.empty((d, d + 1), np.int64)
+    expected, centre, sums = np.zeros(n), np.zeros(n), np.zeros((len(block), len(block)))
+    square, own = np.empty((n, n)), np.empty((2, n))
+    _factors(phi, used)
     for i in range(COMMON):
         for j in range(d):
             expected[i] += phi[i, j] * mean[j]
     for start in range(0, m, BLOCK):
-        width = min(BLOCK, m - start)
+        stop = min(start + BLOCK, m)
+        size = stop - start
         for i in range(COMMON):
-            row = block[i, :width]
-            _carried(cloud, phi[i], start, row)
-            for k in range(width):
-                row[k] -= expected[i]
-        block[COMMON, :width], block[COMMON + 1, :width] = (
-            noise[0, start : start + width],
-            noise[1, start : start + width],
-        )
-        add_moments(block[:, :width], weight[start : start + width], scaled[:width], first, second)
-    centred(first, second, np.zeros(n), np.empty(n), square)
+            row, away, middle = out[i, start:stop], block[i, :size], expected[i]
+            _carried(cloud, phi[i], used[i], start, row)
+            for k in range(size):
+                away[k] = row[k] - middle
+        block[COMMON, :size], block[COMMON + 1, :size] = noise[0, start:stop], noise[1, start:stop]
+        add_moments(block, weight[start:stop], sums)
+    centred(sums, expected, centre, square)
     _whitening(square, own)
-    constant = np.zeros(2)
-    for c in range(n):
-        constant[0] -= own[0, c] * (expected[c] + first[c])
-        constant[1] -= own[1, c] * (expected[c] + first[c])
     for start in range(0, m, BLOCK):
-        width = min(BLOCK, m - start)
-        stop = start + width
+        stop = min(start + BLOCK, m)
+        size = stop - start
         for i in range(COMMON):
-            _carried(cloud, phi[i], start, out[i, start:stop])
-        r0, r1, r2, r3 = out[0, start:stop], out[1, start:stop], out[2, start:stop], out[3, start:stop]
-        e0, e1, w0, w1 = noise[0, start:stop], noise[1, start:stop], block[0, :width], block[1, :width]
-        a0, a1, a2, a3, a4, a5 = own[0]
-        b0, b1, b2, b3, b4, b5 = own[1]
-        for k in range(width):
-            w0[k] = constant[0] + a0 * r0[k] + a1 * r1[k] + a2 * r2[k] + a3 * r3[k] + a4 * e0[k] + a5 * e1[k]
-            w1[k] = constant[1] + b0 * r0[k] + b1 * r1[k] + b2 * r2[k] + b3 * r3[k] + b4 * e0[k] + b5 * e1[k]
-        for i in range(d):
-            row = out[i, start:stop]
-            if i >= COMMON:
-                _carried(cloud, phi[i], start, row)
-            a, b = spread[i, 0], spread[i, 1]
-            for k in range(width):
-                row[k] += a * w0[k] + b * w1[k]
+            block[i, :size] = out[i, start:stop]
+        block[COMMON, :size], block[COMMON + 1, :size] = noise[0, start:stop], noise[1, start:stop]
+        for a in range(2):
+            _combined(block, own[a], centre, white[a, :size])
+        e, f = white[0, :size], white[1, :size]
+        for i in range(COMMON):
+            row, a, b = out[i, start:stop], spread[i, 0], spread[i, 1]
+            for k in range(size):
+                row[k] += a * e[k] + b * f[k]
+        for i in range(COMMON, d):
+            _spread(cloud, phi[i], used[i], start, white, spread[i], out[i, start:stop])
+
+
+@jit(fastmath=SUMS)
+def _combined(block, factors, centre, out):
+    """out = the sum of six rows of a block about their centres, times their factors."""
+    size, constant = out.size, 0.0
+    one, two, three = block[0, :size], block[1, :size], block[2, :size]
+    four, five, six = block[3, :size], block[4, :size], block[5, :size]
+    a, b, c, d, e, f = factors
+    for i in range(6):
+        constant -= factors[i] * centre[i]
+    for k in range(size):
+        out[k] = constant + (a * one[k] + b * two[k] + c * three[k]) + (d * four[k] + e * five[k] + f * six[k])
 
 
 @jit(fastmath=SUMS)
 def moments(cloud, weight):
     """Mean (d,) and covariance (d, d) of a cloud (d, m) under the weights (m,)."""
     d, m = cloud.shape
-    mean, cov, centre = np.zeros(d), np.zeros((d, d)), np.empty(d)
-    first, second = np.zeros(d), np.zeros((d, d))
+    mean, cov, centre, block = np.zeros(d), np.zeros((d, d)), np.empty(d), block_of(d)
+    sums = np.zeros((len(block), len(block)))
     for i in range(d):
         row, total = cloud[i], 0.0
         for k in range(m):
             total += weight[k] * row[k]
         centre[i] = total
-    block, scaled = np.empty((d, BLOCK)), np.empty(BLOCK)
     for start in range(0, m, BLOCK):
-        width = min(BLOCK, m - start)
+        stop = min(start + BLOCK, m)
         for i in range(d):
-            row, away = cloud[i, start : start + width], block[i, :width]
-            for k in range(width):
-                away[k] = row[k] - centre[i]
-        add_moments(block[:, :width], weight[start : start + width], scaled[:width], first, second)
-    first[:] = 0.0  # the centre is the mean but for rounding
-    centred(first, second, centre, mean, cov)
+            row, away, middle = cloud[i, start:stop], block[i, : stop - start], centre[i]
+            for k in range(row.size):
+                away[k] = row[k] - middle
+        add_moments(block, weight[start:stop], sums)
+    sums[d, :] = 0.0  # the centre is the mean but for rounding
+    centred(sums, centre, mean, cov)
     return mean, cov
 
 

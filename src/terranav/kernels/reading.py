@@ -8,7 +8,7 @@ import numpy as np
 
 from terranav.kernels.fastmath import fast_exp
 from terranav.kernels.jit import jit
-from terranav.kernels.marginalized import BLOCK, SUMS, add_moments, centred
+from terranav.kernels.marginalized import BLOCK, SUMS, add_moments, block_of, centred
 from terranav.kernels.matrices import bayes
 from terranav.kernels.sampling import bilinear_at
 
@@ -36,54 +36,67 @@ def compare(values, frame, cloud, weight, value, bias, residual, slope2):
     mean, variance : of the residual there, NaN where the map says nothing at all
     slope2 : its mean there
     """
+    rows, cols = values.shape
+    flat, width, most_row, most_col = values.reshape(values.size), np.uint64(cols), rows - 2.0, cols - 2.0
     r0, r1, r2, r3, r4, r5 = frame[0]
     c0, c1, c2, c3, c4, c5 = frame[1]
-    rows, cols = values.shape
-    flat, width = values.reshape(values.size), np.int64(cols)
-    top, right = rows - 1.0, cols - 1.0
-    north, east, own, patch = cloud[0], cloud[1], cloud[bias], cloud[bias + 1]
-    for k in range(residual.size):
-        n, e = -north[k], -east[k]
-        row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
-        col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
-        inside = (row >= 0.0) & (row <= top) & (col >= 0.0) & (col <= right)
-        row, col = (row if row > 0.0 else 0.0), (col if col > 0.0 else 0.0)
-        y, x = np.int64(min(row, top - 1.0)), np.int64(min(col, right - 1.0))
-        u, v = min(row, top) - y, min(col, right) - x
-        at = np.uint64(y * width + x)
-        below = at + np.uint64(width)
-        one, two = np.float64(flat[at]), np.float64(flat[at + np.uint64(1)])
-        three, four = np.float64(flat[below]), np.float64(flat[below + np.uint64(1)])
-        low, high = one + v * (two - one), three + v * (four - three)
-        by_row, by_col = high - low, (1.0 - u) * (two - one) + u * (four - three)
-        dn, de = by_row * r1 + by_col * c1, by_row * r2 + by_col * c2
-        h = low + u * by_row
-        residual[k] = value - h - own[k] - patch[k] if inside else np.nan
-        slope2[k] = dn * dn + de * de
+    at, corners, place = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32), np.empty((3, BLOCK))
     known, mean, square, steep, silent = 0.0, 0.0, 0.0, 0.0, 0
-    for k in range(residual.size):
-        r, w = residual[k], weight[k]
-        there = r == r
-        silent += 0 if there else 1
-        w, r = (w if there else 0.0), (r if there else 0.0)
-        known += w
-        mean += w * r
-        square += w * r * r
-        steep += w * (slope2[k] if there else 0.0)
+    for start in range(0, residual.size, BLOCK):
+        stop = min(start + BLOCK, residual.size)
+        size = stop - start
+        north, east, w = cloud[0, start:stop], cloud[1, start:stop], weight[start:stop]
+        down, right, inside = place[0, :size], place[1, :size], place[2, :size]
+        for k in range(size):
+            n, e = -north[k], -east[k]
+            row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
+            col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
+            there = (row >= 0.0) & (row <= most_row + 1.0) & (col >= 0.0) & (col <= most_col + 1.0)
+            inside[k] = 0.0 if there else np.nan
+            row, col = (row if row > 0.0 else 0.0), (col if col > 0.0 else 0.0)
+            y, x = np.floor(row if row < most_row else most_row), np.floor(col if col < most_col else most_col)
+            down[k], right[k] = row - y, col - x
+            at[k] = np.uint64(np.int64(y * cols + x))
+        one, two, three, four = corners[0, :size], corners[1, :size], corners[2, :size], corners[3, :size]
+        for k in range(size):  # loads and stores alone, so that the loops around it run on whole registers
+            first = at[k]
+            one[k], two[k] = flat[first], flat[first + np.uint64(1)]
+            three[k], four[k] = flat[first + width], flat[first + width + np.uint64(1)]
+        own, patch, left, slope = (
+            cloud[bias, start:stop],
+            cloud[bias + 1, start:stop],
+            residual[start:stop],
+            slope2[start:stop],
+        )
+        for k in range(size):
+            a, c, u, v = np.float64(one[k]), np.float64(three[k]), down[k], right[k]
+            top, bottom = np.float64(two[k]) - a, np.float64(four[k]) - c
+            a += v * top
+            by_row, by_col = c + v * bottom - a, top + u * (bottom - top)
+            dn, de = by_row * r1 + by_col * c1, by_row * r2 + by_col * c2
+            r, s = value - (a + u * by_row) - own[k] - patch[k] + inside[k], dn * dn + de * de
+            left[k], slope[k] = r, s
+            there = r == r
+            p, r = (w[k] if there else 0.0), (r if there else 0.0)
+            silent += 0 if there else 1
+            known += p
+            mean += p * r
+            square += p * r * r
+            steep += p * (s if there else 0.0)
     if silent > 0:
         for k in range(residual.size):
             if residual[k] != residual[k]:
-                n, e, w = -north[k], -east[k], weight[k]
+                n, e, p = -cloud[0, k], -cloud[1, k], weight[k]
                 row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
                 col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
-                r = value - bilinear_at(values, row, col) - own[k] - patch[k]
+                r = value - bilinear_at(values, row, col) - cloud[bias, k] - cloud[bias + 1, k]
                 residual[k] = r
                 slope2[k] = 0.0 if slope2[k] != slope2[k] else slope2[k]
                 if r == r:  # in the slack of the edge, or beside a void that has no weight
-                    known += w
-                    mean += w * r
-                    square += w * r * r
-                    steep += w * slope2[k]
+                    known += p
+                    mean += p * r
+                    square += p * r * r
+                    steep += p * slope2[k]
     if known <= 0.0:
         return 0.0, np.nan, np.nan, 0.0
     mean = mean / known
@@ -181,8 +194,8 @@ def weigh(cloud, weight, bad, residual, slope2, noise, variance, reach, gain, ce
     if silent > 0:
         for k in range(m):
             out_weight[k] = out_weight[k] if residual[k] == residual[k] else weight[k] * average
-    power, first, second = 0.0, np.zeros(d), np.zeros((d, d))
-    block, scaled = np.empty((d, BLOCK)), np.empty(BLOCK)
+    power, block = 0.0, block_of(d)
+    sums = np.zeros((len(block), len(block)))
     for start in range(0, m, BLOCK):
         stop = min(start + BLOCK, m)
         size = stop - start
@@ -202,8 +215,8 @@ def weigh(cloud, weight, bad, residual, slope2, noise, variance, reach, gain, ce
         for k in range(size):
             left[k] -= variance * moved[k]
             regime[k] = after[start + k]
-        add_moments(block[:, :size], part, scaled[:size], first, second)
-    centred(first, second, centre, mean, cov)
+        add_moments(block, part, sums)
+    centred(sums, centre, mean, cov)
     return average, 1.0 / power, norm * (shrink - widen), mean, cov
 
 
@@ -233,12 +246,12 @@ def mean_of(weight, value):
 @jit
 def reach_of(cloud):
     """Largest distance of a cloud's positions from the origin along an axis [m]."""
-    most = 0.0
+    most = np.int64(0)
     for i in range(2):
         row = cloud[i]
         for k in range(row.size):
-            most = max(most, abs(row[k]))
-    return most
+            most = max(most, np.float64(abs(row[k])).view(np.int64))  # of numbers >= 0 the bits are in order, too
+    return np.int64(most).view(np.float64)
 
 
 @jit
