@@ -8,14 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from terranav.core.earth import shift
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.records import Epoch, Measurement, Prior
 from terranav.filters.pointmass import PointMass, PointMassState, gaussian_taps
-from terranav.kernels.grid import diffuse, measure, weigh
 from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
@@ -167,53 +165,6 @@ def test_taps_have_exactly_the_variance_asked(variance: float) -> None:
     steps = np.arange(taps.size) - taps.size // 2
     assert taps.sum() == pytest.approx(1.0, abs=1e-14)
     assert (taps * steps**2).sum() == pytest.approx(variance, rel=2e-3, abs=1e-15)
-
-
-def test_diffusion_equals_a_plain_convolution() -> None:
-    rng = np.random.default_rng(8)
-    density = rng.random((13, 17))
-    north, east = gaussian_taps(2.0), gaussian_taps(0.3)
-    out = np.empty_like(density)
-    diffuse(density, north, east, out)
-    full = ndimage.convolve1d(density, north, axis=0, mode="constant")
-    full = ndimage.convolve1d(full, east, axis=1, mode="constant")
-    np.testing.assert_allclose(out, full, rtol=1e-13)
-    plain = np.empty_like(density)
-    diffuse.py_func(density, north, east, plain)
-    np.testing.assert_allclose(out, plain, rtol=1e-13)
-
-
-def test_weighing_equals_bayes_rule_and_voids_are_neutral() -> None:
-    rng = np.random.default_rng(9)
-    density = rng.random((9, 11))
-    density /= density.sum()
-    field = rng.normal(0.0, 5.0, (9, 11))
-    field[2:4, 5:8] = np.nan
-    out = np.empty_like(density)
-    known, nis, _ = weigh(density, field, 1.5, 4.0, 0.0, 0.0, 10.0, out)
-    solid = np.isfinite(field)
-    like = np.exp(-0.5 * ((field - 1.5) / 4.0) ** 2)
-    like[~solid] = (density * like)[solid].sum() / density[solid].sum()
-    np.testing.assert_allclose(out, density * like / (density * like).sum(), rtol=1e-12)
-    assert known == pytest.approx(density[solid].sum())
-    mean = (density * field)[solid].sum() / known
-    spread = (density * (field - mean) ** 2)[solid].sum() / known
-    assert nis == pytest.approx((mean - 1.5) ** 2 / (16.0 + spread))
-    plain = np.empty_like(density)
-    assert weigh.py_func(density, field, 1.5, 4.0, 0.6, 0.05, 10.0, plain)[0] == pytest.approx(known)
-    weigh(density, field, 1.5, 4.0, 0.6, 0.05, 10.0, out)
-    np.testing.assert_allclose(out, plain, rtol=1e-12)
-
-
-def test_moments_and_local_width_of_a_gaussian() -> None:
-    north, east = np.arange(-40.0, 41.0), np.arange(-30.0, 31.0) * 1.0
-    density = np.exp(-0.5 * ((north[:, None] / 6.0) ** 2 + (east[None, :] / 4.0) ** 2))
-    density /= density.sum()
-    moments, rows, cols, width = measure(density, north, east)
-    np.testing.assert_allclose(moments, [0.0, 0.0, 36.0, 0.0, 16.0], atol=1e-6)
-    np.testing.assert_allclose(width, [6.0, 4.0], rtol=0.02)
-    np.testing.assert_allclose(rows, density.sum(axis=1))
-    np.testing.assert_allclose(cols, density.sum(axis=0))
 
 
 @pytest.mark.parametrize(

@@ -123,21 +123,22 @@ def judge(
         twice the limit and the NIS is passable, DEGRADED otherwise; LOST, from any of them, while the NIS is beyond the
         upper limit and until it is passable again; OFF_MAP as long as the map says nothing.
     """
-    now = _smoothed(settings, before, nis, readings)
-    now = replace(now, off_map=before.off_map if off_map is None else off_map)
-    poor = now.nis > settings.nis_degraded  # NaN: nothing speaks against it
-    lost = now.readings >= settings.memory and now.nis > settings.nis_lost
+    smoothed, seen = _smoothed(settings, before, nis, readings)
+    if off_map is None:
+        off_map = before.off_map
+    poor = smoothed > settings.nis_degraded  # NaN: nothing speaks against it
+    lost = seen >= settings.memory and smoothed > settings.nis_lost
     if lost or (before.status is Status.LOST and poor):
-        return replace(now, status=Status.OFF_MAP if now.off_map else Status.LOST, fixed=False)
+        return Judgement(Status.OFF_MAP if off_map else Status.LOST, smoothed, seen, False, off_map)
     limit = settings.converged_sigma_m * (HYSTERESIS if before.status is Status.CONVERGED else 1.0)
-    fixed = now.fixed or (sigma_m <= limit and not poor and not now.off_map)
-    if now.off_map:
+    fixed = before.fixed or (sigma_m <= limit and not poor and not off_map)
+    if off_map:
         status = Status.OFF_MAP
     elif not fixed:
         status = Status.SEARCHING
     else:
         status = Status.CONVERGED if sigma_m <= limit and not poor else Status.DEGRADED
-    return replace(now, status=status, fixed=fixed)
+    return Judgement(status, smoothed, seen, fixed, off_map)
 
 
 def started_over(before: Judgement) -> Judgement:
@@ -145,12 +146,11 @@ def started_over(before: Judgement) -> Judgement:
     return replace(before, readings=0)
 
 
-def _smoothed(settings: Judge, before: Judgement, nis: float, readings: int) -> Judgement:
-    """The record with this epoch's NIS averaged in: a plain mean at first, exponential once the memory is full."""
+def _smoothed(settings: Judge, before: Judgement, nis: float, readings: int) -> tuple[float, int]:
+    """Smoothed NIS and the readings seen: a plain mean at first, exponential once the memory is full."""
     if math.isnan(nis) or readings < 1:
-        return before
+        return before.nis, before.readings
     capped = min(nis, CAP * settings.nis_lost)
     seen = before.readings + readings
     gain = max(1.0 - (1.0 - 1.0 / settings.memory) ** readings, readings / seen)
-    mean = capped if before.readings == 0 else before.nis + gain * (capped - before.nis)
-    return replace(before, nis=mean, readings=seen)
+    return capped if before.readings == 0 else before.nis + gain * (capped - before.nis), seen

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from terranav.core.records import Epoch, Estimate
 from terranav.filters._replay import Flown, inner_of
-from terranav.filters.pointmass import Grid, PointMass, PointMassState
-from terranav.kernels.grid import FLOOR, measure, resample
+from terranav.filters.pointmass import STILL, Grid, PointMass, PointMassState, moments, summary_of
+from terranav.kernels.grid import FLOOR, resample
 
 FloatArray = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def smooth_pointmass(flight: Flown[Any], on_epoch: Callable[[int], None]) -> lis
             ahead = replace(state.grid, density=np.ones_like(state.grid.density))
         else:
             smoothed, ahead = _combined(estimator, state.grid, _before(estimator, state, epochs[k + 1], ahead))
-            mean_m, cov_m2 = _moments(smoothed)
+            mean_m, cov_m2 = moments(summary_of(smoothed), smoothed.cell_m)
             estimates[k] = flight.estimate(watched, mean_m=mean_m, cov_m2=cov_m2)
         on_epoch(len(epochs) - k)
     return estimates
@@ -69,9 +69,7 @@ def smooth_pointmass(flight: Flown[Any], on_epoch: Callable[[int], None]) -> lis
 def _before(estimator: PointMass, state: PointMassState, epoch: Epoch, ahead: Grid) -> Grid:
     """B after `state`, up to a factor, from B after the next epoch: the filter's step in reverse."""
     assert state.epoch is not None
-    dt = epoch.time_s - state.epoch.time_s
-    elapsed = epoch.time_s - dt - state.start_s
-    growth = [estimator.ins.position_growth_m2(elapsed, dt, float(v)) for v in np.diag(state.cov_m2)]
+    growth = estimator._growth(state, epoch)
     if epoch.measurements:
         grown = replace(state, grid=estimator._grown(state.grid, growth))
         for likelihood in reversed(_likelihoods(estimator, grown, epoch)):
@@ -88,7 +86,9 @@ def _likelihoods(estimator: PointMass, state: PointMassState, epoch: Epoch) -> l
     for reading in epoch.measurements:
         for chart in estimator.maps:
             if chart.kind == reading.kind:
-                after = estimator._updated(state, epoch, chart, reading).grid
+                after = estimator._updated(
+                    state.grid, STILL, epoch, chart, reading, last_reading=state.last_reading
+                ).grid
                 before = _on(after, state.grid).density
                 likely = np.divide(after.density, before, out=np.zeros_like(before), where=before > FLOOR)
                 found.append(replace(after, density=likely / likely.max()))
@@ -133,15 +133,7 @@ def _combined(estimator: PointMass, filtered: Grid, ahead: Grid) -> tuple[Grid, 
     if not total > FLOOR:
         return filtered, replace(filtered, density=np.ones_like(filtered.density))
     smoothed = replace(smoothed, density=smoothed.density / total)
-    _, rows, cols, width = measure(smoothed.density, smoothed.north_m, smoothed.east_m)
-    smoothed = estimator._fitted(smoothed, (rows, cols), float(width.min()), math.inf)
+    smoothed = estimator._fitted(smoothed, summary_of(smoothed), math.inf)
     known = _on(smoothed, ahead).density
     matters = smoothed.density > MATTERS * smoothed.density.max()
     return smoothed, replace(smoothed, density=np.minimum(known, known[matters].max()))
-
-
-def _moments(grid: Grid) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance of a density, with the filter's floor."""
-    moments = measure(grid.density, grid.north_m, grid.east_m)[0]
-    cov = np.array([[moments[2], moments[3]], [moments[3], moments[4]]])
-    return moments[:2].copy(), cov + (0.05 * grid.cell_m) ** 2 * np.eye(2)

@@ -7,7 +7,9 @@ lies in error space, so the vehicle's motion moves nothing; only the growth of t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -19,17 +21,19 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._maps import one_map_a_kind
-from terranav.kernels.grid import FLOOR, diffuse, measure, resample, weigh
-from terranav.kernels.lattice import bilinear_lattice
+from terranav.kernels.grid import FLOOR, resample
+from terranav.kernels.pointmass import advance, border, diffused, measured
+from terranav.kernels.rows import half_taps
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
 
 FloatArray = NDArray[np.float64]
 
-TAIL = 1e-7  # density beyond the grid's border that is given up
+TAIL = 1e-7  # mass near the grid's border that makes the grid grow
 REACH = 5.5  # a Gaussian is carried out to this many sigmas
 RESOLVE = 0.6  # 1-sigma of a likelihood ridge that a grid carries to 0.2 % [cells]
 WIDTH_REFINE, WIDTH_WANTED, WIDTH_COARSEN = 1.3, 2.5, 6.0  # local width of the density [cells]
+STILL = (0.0, 0.0)  # no growth
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +56,21 @@ class Grid:
         return self.west_m + self.cell_m * np.arange(self.density.shape[1], dtype=np.float64)
 
 
+class Summary(NamedTuple):
+    """What a density is like (`kernels.pointmass.summary`)."""
+
+    mean_n: float
+    mean_e: float
+    var_n: float
+    cov: float
+    var_e: float
+    width: float  # of its narrowest structure that carries weight [cells]
+    south: int  # the rows and columns, both ends included, beyond which less than the tail lies
+    north: int
+    west: int
+    east: int
+
+
 @dataclass(frozen=True, slots=True)
 class Update:
     """What one reading made of a grid."""
@@ -60,6 +79,7 @@ class Update:
     known: float  # share of the prior density on the map
     nis: float
     resolved_m: float  # cells up to this size carry the likelihood
+    summary: Summary | None = None  # of the grid, where it came with the update
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,42 +159,40 @@ class PointMass:
         else:
             density = np.ones((north.size, east.size))
         grid = Grid(float(south), float(west), cell, density / density.sum())
-        return _measured(PointMassState(grid, np.zeros(2), np.zeros((2, 2)), Judgement()))[0]
+        return PointMassState(grid, *moments(summary_of(grid), cell), Judgement())
 
     def step(self, state: PointMassState, epoch: Epoch, rng: Generator) -> PointMassState:
         """Diffuse by the INS's growth since the last epoch, multiply by the likelihoods, refit the grid if need be."""
         start_s = epoch.time_s if state.epoch is None else state.start_s
-        dt = 0.0 if state.epoch is None else epoch.time_s - state.epoch.time_s
-        before = epoch.time_s - dt - start_s
-        growth = [self.ins.position_growth_m2(before, dt, float(v)) for v in np.diag(state.cov_m2)]
-        state = replace(state, epoch=epoch, start_s=start_s, grid=self._grown(state.grid, growth))
+        grid, growth = self._ready(state.grid, self._growth(state, epoch))
+        summary: Summary | None = None
         nis: list[float] = []
-        known: list[float] = []
+        known = -1.0
         resolved_m = math.inf
         for reading in epoch.measurements:
             for chart in self.maps:
                 if chart.kind == reading.kind:
-                    update = self._updated(state, epoch, chart, reading)
-                    state = replace(state, grid=update.grid)
-                    known.append(update.known)
-                    resolved_m = min(resolved_m, update.resolved_m)
+                    update = self._updated(grid, growth, epoch, chart, reading, last_reading=state.last_reading)
+                    grid, growth, summary = update.grid, STILL, update.summary
+                    known, resolved_m = max(known, update.known), min(resolved_m, update.resolved_m)
                     if update.known > 0.5:
                         nis.append(update.nis)
-        state, rows, cols, width = _measured(state)
-        if known:
-            state = replace(state, last_reading=epoch)
-        grid = self._fitted(state.grid, (rows, cols), float(width.min()), resolved_m)
-        if grid is not state.grid:
-            state = _measured(replace(state, grid=grid))[0]
+        if summary is None:
+            grid, summary = _diffused(grid, growth)
+        fitted = self._fitted(grid, summary, resolved_m)
+        if fitted is not grid:
+            grid, summary = fitted, summary_of(fitted)
+        mean_m, cov_m2 = moments(summary, grid.cell_m)
         judgement = judge(
             self._judge,
             state.judgement,
-            largest_sigma_m(state.cov_m2),
+            largest_sigma_m(cov_m2),
             nis=sum(nis) / len(nis) if nis else math.nan,
             readings=len(nis),
-            off_map=max(known) <= 0.5 if known else None,
+            off_map=known <= 0.5 if known >= 0.0 else None,
         )
-        return replace(state, judgement=judgement)
+        last_reading = epoch if known >= 0.0 else state.last_reading
+        return PointMassState(grid, mean_m, cov_m2, judgement, start_s, epoch, last_reading)
 
     def estimate(self, state: PointMassState) -> Estimate:
         """Mean and covariance of the density."""
@@ -195,73 +213,127 @@ class PointMass:
     def _finest_m(self) -> float:
         return min(1.0, 0.1 * self._coarsest_m) if self.min_cell_m is None else self.min_cell_m
 
-    @property
+    @cached_property
     def _judge(self) -> Judge:
         threshold = 2.0 * self._coarsest_m if self.converged_sigma_m is None else self.converged_sigma_m
         return Judge(converged_sigma_m=threshold)
 
-    def _grown(self, grid: Grid, growth_m2: list[float]) -> Grid:
-        """Diffuse by `growth_m2` (north, east); after a long gap in stages, each on cells twice as large."""
+    def _growth(self, state: PointMassState, epoch: Epoch) -> tuple[float, float]:
+        """Variance that the INS error of the two axes has gained since the last epoch [m^2]."""
+        if state.epoch is None:
+            before, dt = 0.0, 0.0
+        else:
+            before, dt = state.epoch.time_s - state.start_s, epoch.time_s - state.epoch.time_s
+        north, east = float(state.cov_m2[0, 0]), float(state.cov_m2[1, 1])
+        gained = self.ins.position_growth_m2
+        return gained(before, dt, north), gained(before, dt, east)
+
+    def _ready(self, grid: Grid, growth_m2: tuple[float, float]) -> tuple[Grid, tuple[float, float]]:
+        """A grid with room to diffuse, and by how much; after a long gap in stages, each on cells twice as large."""
         while max(growth_m2) > 0.0:
             most = (3.0 * grid.cell_m) ** 2 if max(growth_m2) > (6.0 * grid.cell_m) ** 2 else math.inf
-            parts = [min(growth, most) for growth in growth_m2]
-            taps = [gaussian_taps(part / grid.cell_m**2) for part in parts]
-            padded = _padded(grid, max(taps[0].size, taps[1].size) // 2)
-            out = np.empty_like(padded.density)
-            diffuse(padded.density, taps[0], taps[1], out)
-            grid = replace(padded, density=out / out.sum())
-            growth_m2 = [growth - part for growth, part in zip(growth_m2, parts, strict=True)]
-            if max(growth_m2) > 0.0:
-                grid = self._regridded(grid, 2.0 * grid.cell_m)
-        return grid
+            part = min(growth_m2[0], most), min(growth_m2[1], most)
+            grid = _padded(grid, _reach(max(part) / grid.cell_m**2))
+            growth_m2 = growth_m2[0] - part[0], growth_m2[1] - part[1]
+            if max(growth_m2) <= 0.0:
+                return grid, part
+            grid, summary = _diffused(grid, part)
+            grid = self._regridded(grid, 2.0 * grid.cell_m, summary)
+        return grid, STILL
 
-    def _updated(self, state: PointMassState, epoch: Epoch, chart: Map, reading: Measurement) -> Update:
-        """Weigh the grid by one reading; where the likelihood is narrower than the cells, on a finer grid."""
-        sigma = reading_sigma(reading, chart, state.last_reading, epoch)
-        update = self._weighed(state.grid, epoch, chart, reading, sigma)
-        if state.grid.cell_m > 1.1 * update.resolved_m:
-            grid = self._regridded(state.grid, update.resolved_m)
-            if grid.cell_m < 0.9 * state.grid.cell_m:
-                update = self._weighed(grid, epoch, chart, reading, sigma)
+    def _grown(self, grid: Grid, growth_m2: tuple[float, float]) -> Grid:
+        """Diffuse by `growth_m2` (north, east)."""
+        grid, growth_m2 = self._ready(grid, growth_m2)
+        return grid if growth_m2 == STILL else _diffused(grid, growth_m2)[0]
+
+    def _updated(
+        self,
+        grid: Grid,
+        growth_m2: tuple[float, float],
+        epoch: Epoch,
+        chart: Map,
+        reading: Measurement,
+        *,
+        last_reading: Epoch | None,
+    ) -> Update:
+        """Diffuse and weigh by one reading; where the likelihood is narrower than the cells, on a finer grid."""
+        sigma = reading_sigma(reading, chart, last_reading, epoch)
+        if type(self)._weighed is PointMass._weighed:
+            update = self._advanced(grid, growth_m2, epoch, chart, reading, sigma=sigma)
+        else:  # a likelihood of another kind
+            grid, growth_m2 = _diffused(grid, growth_m2)[0], STILL
+            update = self._weighed(grid, epoch, chart, reading, sigma)
+        if grid.cell_m > 1.1 * update.resolved_m:
+            coarse, summary = _diffused(grid, growth_m2)
+            if self._possible_m(update.resolved_m, summary, grid.cell_m) < 0.9 * grid.cell_m:
+                fine = self._regridded(coarse, update.resolved_m, summary)
+                update = self._weighed(fine, epoch, chart, reading, sigma)
         return update
 
     def _weighed(self, grid: Grid, epoch: Epoch, chart: Map, reading: Measurement, sigma: float) -> Update:
         """Weigh the grid as it is."""
-        north, east = grid.north_m, grid.east_m
-        radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
-        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
-        field = np.empty_like(grid.density)
-        bilinear_lattice(chart.values, frame.row, frame.col, -north, -east, field)
-        out = np.empty_like(grid.density)
-        known, nis, slope = weigh(
-            grid.density, field, reading.value, sigma, RESOLVE, self.outlier_share, self.outlier_scale, out
-        )
-        resolved = grid.cell_m * sigma / (RESOLVE * slope) if slope > 0.0 else math.inf
-        return Update(replace(grid, density=out), known, nis, resolved)
+        return self._advanced(grid, STILL, epoch, chart, reading, sigma=sigma)
 
-    def _fitted(self, grid: Grid, marginals: tuple[FloatArray, FloatArray], narrow: float, resolved_m: float) -> Grid:
+    def _advanced(
+        self,
+        grid: Grid,
+        growth_m2: tuple[float, float],
+        epoch: Epoch,
+        chart: Map,
+        reading: Measurement,
+        *,
+        sigma: float,
+    ) -> Update:
+        """Diffuse and weigh in one pass."""
+        density, cell, south, west = grid.density, grid.cell_m, grid.south_m, grid.west_m
+        rows, cols = density.shape
+        north, east = abs(south + 0.5 * cell * (rows - 1)), abs(west + 0.5 * cell * (cols - 1))
+        radius = math.hypot(north + 0.5 * cell * (rows - 1), east + 0.5 * cell * (cols - 1))
+        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
+        out = np.empty_like(density)
+        known, nis, slope, *summary = advance(
+            density,
+            growth_m2[0] / (cell * cell),
+            growth_m2[1] / (cell * cell),
+            (south, west, cell),
+            chart.values,
+            (frame.row, frame.col),
+            (reading.value, sigma, RESOLVE, self.outlier_share, self.outlier_scale),
+            out,
+        )
+        resolved = cell * sigma / (RESOLVE * slope) if slope > 0.0 else math.inf
+        return Update(Grid(south, west, cell, out), known, nis, resolved, Summary(*summary))
+
+    def _fitted(self, grid: Grid, summary: Summary, resolved_m: float) -> Grid:
         """The same density on a grid that fits it; the grid itself when it already does."""
-        used = (_support(marginals[0]), _support(marginals[1]))
-        need = (used[0][1] - used[0][0] + 1) * (used[1][1] - used[1][0] + 1)
-        roomy = 6 * need < grid.density.size and grid.density.size > 2500
-        refine = narrow < WIDTH_REFINE and grid.cell_m > 1.01 * self._allowed_m(used, grid.cell_m)
+        cells, narrow = grid.density.size, summary.width
+        need = (summary.north - summary.south + 1) * (summary.east - summary.west + 1)
+        roomy = 6 * need < cells and cells > 2500
+        refine = narrow < WIDTH_REFINE and grid.cell_m > 1.01 * self._allowed_m(summary, grid.cell_m)
         coarsen = narrow > WIDTH_COARSEN and grid.cell_m < 0.6 * min(self._coarsest_m, resolved_m)
-        if not (roomy or refine or coarsen or grid.density.size > 1.5 * self.max_cells):
+        if not (roomy or refine or coarsen or cells > 1.5 * self.max_cells):
             return grid
         wanted = grid.cell_m * narrow / WIDTH_WANTED if refine or coarsen else grid.cell_m
-        return self._regridded(grid, min(wanted, 0.9 * resolved_m, max(self._coarsest_m, grid.cell_m)))
+        return self._regridded(grid, min(wanted, 0.9 * resolved_m, max(self._coarsest_m, grid.cell_m)), summary)
 
-    def _allowed_m(self, used: tuple[tuple[int, int], tuple[int, int]], cell_m: float) -> float:
+    def _allowed_m(self, summary: Summary, cell_m: float) -> float:
         """The finest cell that the support of the density, with its margin, may have under max_cells."""
-        sides = [(1.4 * (high - low + 1) + 8) * cell_m for low, high in used]
-        return max(self._finest_m, math.sqrt(sides[0] * sides[1] / self.max_cells))
+        high = (1.4 * (summary.north - summary.south + 1) + 8) * cell_m
+        wide = (1.4 * (summary.east - summary.west + 1) + 8) * cell_m
+        return max(self._finest_m, math.sqrt(high * wide / self.max_cells))
 
-    def _regridded(self, grid: Grid, wanted_m: float) -> Grid:
+    def _possible_m(self, wanted_m: float, summary: Summary, cell_m: float) -> float:
+        """The cell of the density once it is resampled."""
+        return max(wanted_m, self._allowed_m(summary, cell_m))
+
+    def _regridded(self, grid: Grid, wanted_m: float, summary: Summary) -> Grid:
         """Resample the density to cells of about `wanted_m` over its support and a margin of a fifth on each side."""
-        used = (_support(grid.density.sum(axis=1)), _support(grid.density.sum(axis=0)))
-        cell = max(wanted_m, self._allowed_m(used, grid.cell_m))
+        cell = self._possible_m(wanted_m, summary, grid.cell_m)
         axes = []
-        for (low, high), origin in zip(used, (grid.south_m, grid.west_m), strict=True):
+        for low, high, origin in (
+            (summary.south, summary.north, grid.south_m),
+            (summary.west, summary.east, grid.west_m),
+        ):
             centre = origin + 0.5 * (low + high) * grid.cell_m
             half = math.ceil((0.7 * (high - low + 1) + 1.0) * grid.cell_m / cell) + 2
             axes.append(centre + cell * np.arange(-half, half + 1))
@@ -272,45 +344,48 @@ class PointMass:
 
 
 def gaussian_taps(variance: float) -> FloatArray:
-    """Symmetric taps that sum to one and have exactly this variance [cells^2].
-
-    Below half a squared cell three taps do it exactly (q/2, 1 - q, q/2), however small the growth of one step; above, a
-    sampled Gaussian out to 5 sigma, whose own sampling error is below 1e-4 of the variance there.
-    """
-    if variance <= 0.5:
-        return np.array([0.5 * variance, 1.0 - variance, 0.5 * variance])
-    radius = max(3, math.ceil(5.0 * math.sqrt(variance)))
-    steps = np.arange(-radius, radius + 1)
-    taps = np.exp(-0.5 * steps**2 / variance)
-    return np.asarray(taps / taps.sum())
+    """Symmetric taps that sum to one and have exactly this variance [cells^2], up to their sampling error of 1e-4."""
+    half = half_taps(float(variance))
+    return np.concatenate([half[:0:-1], half])
 
 
-def _measured(state: PointMassState) -> tuple[PointMassState, FloatArray, FloatArray, FloatArray]:
-    """The state with the moments of its density, the density's marginals and its local width [cells]."""
-    grid = state.grid
-    moments, rows, cols, width = measure(grid.density, grid.north_m, grid.east_m)
-    cov = np.array([[moments[2], moments[3]], [moments[3], moments[4]]])
-    floor = (0.05 * grid.cell_m) ** 2  # a density in a single cell is not certainty
-    cov[0, 0] += floor
-    cov[1, 1] += floor
-    return replace(state, mean_m=moments[:2].copy(), cov_m2=cov), rows, cols, width
+def moments(summary: Summary, cell_m: float) -> tuple[FloatArray, FloatArray]:
+    """Mean (2,) and covariance (2, 2) of a density; one in a single cell is not certainty."""
+    floor = (0.05 * cell_m) ** 2
+    mean = np.array([summary.mean_n, summary.mean_e])
+    return mean, np.array([[summary.var_n + floor, summary.cov], [summary.cov, summary.var_e + floor]])
 
 
-def _support(mass: FloatArray) -> tuple[int, int]:
-    """First and last index between which all but TAIL of the mass lies on either side."""
-    cumulative = np.cumsum(mass) / mass.sum()
-    low = int(np.searchsorted(cumulative, TAIL, side="right"))
-    high = int(np.searchsorted(cumulative, 1.0 - TAIL, side="left"))
-    return min(low, mass.size - 1), min(max(high, low), mass.size - 1)
+def _reach(variance: float) -> int:
+    """How far the taps of a variance reach [cells]."""
+    return 1 if variance <= 0.5 else math.ceil(5.0 * math.sqrt(variance))
+
+
+def summary_of(grid: Grid) -> Summary:
+    """What the density of a grid is like."""
+    return Summary(*measured(grid.density, (grid.south_m, grid.west_m, grid.cell_m)))
+
+
+def _diffused(grid: Grid, growth_m2: tuple[float, float]) -> tuple[Grid, Summary]:
+    """The density convolved with a Gaussian, and what it is like."""
+    if growth_m2 == STILL:
+        return grid, summary_of(grid)
+    out, cell = np.empty_like(grid.density), grid.cell_m
+    summary = diffused(
+        grid.density, growth_m2[0] / cell**2, growth_m2[1] / cell**2, (grid.south_m, grid.west_m, cell), out
+    )
+    return Grid(grid.south_m, grid.west_m, cell, out), Summary(*summary)
 
 
 def _padded(grid: Grid, radius: int) -> Grid:
     """Add a margin on every side whose border band, as wide as the taps reach, holds more than the tail."""
-    rows, cols = grid.density.sum(axis=1), grid.density.sum(axis=0)
-    band = min(radius + 2, rows.size, cols.size)
-    sides = [rows[:band].sum(), rows[-band:].sum(), cols[:band].sum(), cols[-band:].sum()]
-    room = [max(band, side // 8) if mass > TAIL else 0 for mass, side in zip(sides, [rows.size] * 2 + [cols.size] * 2)]
-    if not any(room):
+    rows, cols = grid.density.shape
+    band = min(radius + 2, rows, cols)
+    sides = border(grid.density, band)
+    if max(sides) <= TAIL:
         return grid
-    density = np.pad(grid.density, ((room[0], room[1]), (room[2], room[3])))
+    high, wide = max(band, rows // 8), max(band, cols // 8)
+    room = [size if mass > TAIL else 0 for mass, size in zip(sides, (high, high, wide, wide), strict=True)]
+    density = np.zeros((rows + room[0] + room[1], cols + room[2] + room[3]))
+    density[room[0] : room[0] + rows, room[2] : room[2] + cols] = grid.density
     return Grid(grid.south_m - room[0] * grid.cell_m, grid.west_m - room[2] * grid.cell_m, grid.cell_m, density)
