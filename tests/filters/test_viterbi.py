@@ -19,7 +19,6 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.records import Epoch, Estimate, Measurement, Prior
 from terranav.experiment.stream import states, stream
 from terranav.filters.viterbi import NOISES, Viterbi, ViterbiState
-from terranav.kernels import viterbi as kernel
 from terranav.maps.fields import gaussian_map, plane_map
 from terranav.maps.map import Map
 
@@ -109,49 +108,6 @@ def test_it_is_the_dense_hidden_markov_model(noise: str, p: float) -> None:
     np.testing.assert_allclose(np.exp(forward - logsumexp(forward)), state.probability.ravel(), rtol=1e-3, atol=1e-9)
     if noise == "integral_gaussian":  # the other densities leave their constants out
         assert state.log_best == pytest.approx(score.max(), rel=1e-5, abs=1e-3)
-
-
-def test_the_kernels_are_what_they_say_compiled_or_not() -> None:
-    rng = np.random.default_rng(2)
-    framed = np.full((9, 12), -np.inf)
-    framed[1:-1, 1:-1] = rng.integers(-4, 1, (7, 10))  # many ties
-    shares = np.zeros((9, 12))
-    shares[1:-1, 1:-1] = rng.random((7, 10))
-    for p in (0.05, 0.6):
-        stay, move = np.log(p), np.log((1.0 - p) / 8.0)
-        ways = np.array([framed[a : a + 7, b : b + 10] + move for a in range(3) for b in range(3)])
-        ways[4] = framed[1:-1, 1:-1] + stay
-        total = sum(shares[a : a + 7, b : b + 10] * (1.0 - p) / 8.0 for a in range(3) for b in range(3))
-        total = total + shares[1:-1, 1:-1] * (p - (1.0 - p) / 8.0)
-        for max_sum, spread in ((kernel.max_sum, kernel.spread), (kernel.max_sum.py_func, kernel.spread.py_func)):
-            out, pointer = np.empty((7, 10)), np.empty((7, 10), np.uint8)
-            max_sum(framed, stay, move, out, pointer)
-            np.testing.assert_array_equal(out, ways.max(axis=0))
-            np.testing.assert_array_equal(np.take_along_axis(ways, pointer[None].astype(int), 0)[0], out)
-            assert (pointer[ways[4] == out] == kernel.STAY).all()
-            spread(shares, p, (1.0 - p) / 8.0, out)
-            np.testing.assert_allclose(out, total, rtol=1e-12)
-
-
-@pytest.mark.parametrize("v", [0.0, 1.0, 7.0, 30.0, 60.0, 150.0])
-def test_the_integral_holds_far_into_the_tail(v: float) -> None:
-    """Against log-differences by scipy, where a probability itself is long zero."""
-    for half in (0.3, 4.0):
-        upper, lower = norm.logsf((v - half) / 4.0), norm.logsf((v + half) / 4.0)
-        expected = upper + np.log(-np.expm1(lower - upper))
-        for function in (kernel.log_probability, kernel.log_probability.py_func):
-            assert function(-v, 4.0, half, kernel.INTEGRAL, 0.0, 0.0) == pytest.approx(expected, rel=1e-8, abs=1e-12)
-
-
-def test_voids_are_not_measured_and_slopes_are_noise() -> None:
-    field = 3.0 * np.arange(6.0)[:, None] + 4.0 * np.arange(7.0)
-    field[2, 3] = np.nan
-    out = np.empty_like(field)
-    for function in (kernel.measure, kernel.measure.py_func):
-        function(field, 20.0, 2.0, 1.0 / 12.0, kernel.GAUSSIAN, 0.0, 0.0, out)
-        assert np.flatnonzero(np.isnan(out)).tolist() == [2 * 7 + 3]
-        s = np.sqrt(4.0 + 25.0 / 12.0)
-        assert out[4, 5] == pytest.approx(-0.5 * ((20.0 - field[4, 5]) / s) ** 2 - np.log(s))
 
 
 def test_a_constant_error_is_found_to_its_cell_and_the_path_is_straight() -> None:

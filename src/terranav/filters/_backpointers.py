@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ class History:
             blocks, newest = (blocks[1:], newest) if blocks else ((), ())
             held -= sum(one.pointers.nbytes for one in oldest)
             given_up += len(oldest)
-        return replace(self, blocks=blocks, newest=newest, held_bytes=held, given_up=given_up)
+        return History(self.limit_bytes, blocks, newest, held, given_up)
 
     def path(self, row: int, col: int) -> NDArray[np.int64]:
         """(epochs, 2) lattice indices of the path that ends in (row, col), oldest first (papers/000 eq. 15)."""

@@ -31,7 +31,7 @@ What the paper leaves open, and what is done here:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
@@ -39,11 +39,14 @@ from numpy.typing import NDArray
 
 from terranav.core.checks import finite, unknown_name
 from terranav.core.errors import ConfigError, StateError
+from terranav.core.frozen import changed
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
+from terranav.filters import _blocks
 from terranav.filters._backpointers import History, Origins
 from terranav.filters._maps import one_map_a_kind
+from terranav.kernels import noises
 from terranav.kernels import viterbi as kernel
 from terranav.kernels.lattice import bilinear_lattice
 from terranav.maps.map import Map
@@ -52,16 +55,15 @@ from terranav.maps.noise import reading_sigma
 FloatArray = NDArray[np.float64]
 
 NOISES = {
-    "integral_gaussian": kernel.INTEGRAL,
-    "gaussian": kernel.GAUSSIAN,
-    "laplace": kernel.LAPLACE,
-    "student_t": kernel.STUDENT_T,
-    "mixture": kernel.MIXTURE,
+    "integral_gaussian": noises.INTEGRAL,
+    "gaussian": noises.GAUSSIAN,
+    "laplace": noises.LAPLACE,
+    "student_t": noises.STUDENT_T,
+    "mixture": noises.MIXTURE,
 }
 SQUARE = 3.0  # half the side of the square [sigma]: papers/000's 6 sigma
 REACH = 5.0  # half the side where the prior is a Gaussian, whose tails count
 LEAST_STAY = 0.5  # p, where it is chosen here: the paper asks that staying be the most probable
-FLOOR = 1e-290  # probabilities below are zero: denormals cost time and mean nothing
 BYTES = 56  # a cell takes in scores, probabilities and work arrays
 
 
@@ -205,7 +207,7 @@ class Viterbi:
             readings=len(nis),
             off_map=max(known) <= 0.5 if known else None,
         )
-        return replace(state, judgement=judgement, last_reading=epoch if known else state.last_reading)
+        return changed(state, judgement=judgement, last_reading=epoch if known else state.last_reading)
 
     def estimate(self, state: ViterbiState) -> Estimate:
         """The end of the best path (eq. 14) and the mean square deviation of the forward recursion from it."""
@@ -280,20 +282,19 @@ class Viterbi:
         none = np.empty((0, *state.score.shape), dtype=np.uint8)
         if state.epoch is None:
             history = state.history.extended(Origins(state.south, state.west, none))
-            return replace(state, epoch=epoch, start_s=epoch.time_s, history=history)
+            return changed(state, epoch=epoch, start_s=epoch.time_s, history=history)
         elapsed, dt = state.epoch.time_s - state.start_s, epoch.time_s - state.epoch.time_s
         growth = max(self.ins.position_growth_m2(elapsed, dt, float(v)) for v in np.diag(state.spread_m2))
         unaided = state.unaided_m2 + self.ins.position_growth_m2(elapsed, dt)
-        state = self._enlarged(replace(state, epoch=epoch, unaided_m2=unaided))
+        state = self._enlarged(changed(state, epoch=epoch, unaided_m2=unaided))
         reach = 3.0 * self.ins.velocity_sigma_at_mps(elapsed + dt) * dt
         times, stay = self._steps(growth, reach, state, dt)
-        pointers = np.empty((times, *state.score.shape), dtype=np.uint8)
+        pointers = _blocks.empty((times, *state.score.shape), np.uint8)
         score, probability = state.score, state.probability
         for layer in pointers:
             score, probability = _transition(score, probability, stay, layer)
-        total = float(probability.sum())  # what left the square is lost to it
         history = state.history.extended(Origins(state.south, state.west, pointers))
-        return replace(state, score=score, probability=probability / total, history=history)
+        return changed(state, score=score, probability=probability, history=history)
 
     def _steps(self, growth_m2: float, reach_m: float, state: ViterbiState, dt: float) -> tuple[int, float]:
         """How many times the 3 x 3 step is applied, and p."""
@@ -318,7 +319,7 @@ class Viterbi:
         pad = [(int(half[0]) + state.south,) * 2, (int(half[1]) + state.west,) * 2]
         score = np.pad(state.score, pad, constant_values=-np.inf)
         probability = np.pad(state.probability, pad)
-        return replace(state, south=-int(half[0]), west=-int(half[1]), score=score, probability=probability)
+        return changed(state, south=-int(half[0]), west=-int(half[1]), score=score, probability=probability)
 
     def _weighed(
         self, state: ViterbiState, epoch: Epoch, chart: Map, reading: Measurement
@@ -327,36 +328,19 @@ class Viterbi:
         north, east = state.north_m, state.east_m
         radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
         frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
-        field = np.empty_like(state.score)
+        field = _blocks.empty(state.score.shape)
         bilinear_lattice(chart.values, frame.row, frame.col, -north, -east, field)
         sigma = reading_sigma(reading, chart, state.last_reading, epoch)
         first, second = self.degrees_of_freedom, 0.0
         if self.noise == "mixture":
             first, second = self.outlier_share, self.outlier_scale
-        weight = np.empty_like(field)
-        kernel.measure(field, reading.value, sigma, self.cell_noise / 12.0, NOISES[self.noise], first, second, weight)
-        on_map = np.isfinite(field)
-        known = float(state.probability[on_map].sum())
+        model = (reading.value, sigma, self.cell_noise / 12.0, NOISES[self.noise], first, second)
+        score, probability = _blocks.empty(field.shape), _blocks.empty(field.shape)
+        known, miss, spread, gained = kernel.weigh(state.score, state.probability, field, model, score, probability)
         if known <= 0.0:
             return state, 0.0, math.nan
-        top = float(weight[on_map & (state.probability > 0.0)].max())
-        likelihood = np.exp(np.clip(weight - top, -650.0, 650.0))
-        average = float((state.probability[on_map] * likelihood[on_map]).sum()) / known
-        if not on_map.all():  # cells off the map or void are neither confirmed nor refuted
-            likelihood = np.where(on_map, likelihood, average)
-            weight = np.where(on_map, weight, top + math.log(average))
-        probability = state.probability * likelihood
-        probability[probability < FLOOR] = 0.0
-        score = state.score + weight
-        best = float(score.max())
-        state_now = replace(
-            state,
-            score=score - best,
-            probability=probability / probability.sum(),
-            log_best=state.log_best + best,
-        )
-        innovation2 = _innovation2(state.probability[on_map] / known, field[on_map], reading.value, sigma)
-        return state_now, known, innovation2
+        now = changed(state, score=score, probability=probability, log_best=state.log_best + gained)
+        return now, known, miss**2 / (sigma**2 + spread)
 
 
 def _transition(
@@ -364,33 +348,17 @@ def _transition(
 ) -> tuple[FloatArray, FloatArray]:
     """One 3 x 3 step of both recursions; writes the back-pointers."""
     move = (1.0 - stay) / 8.0
-    scores, probabilities = np.empty_like(score), np.empty_like(probability)
-    framed = np.full((score.shape[0] + 2, score.shape[1] + 2), -np.inf)
-    framed[1:-1, 1:-1] = score
-    kernel.max_sum(framed, math.log(stay), math.log(move) if move > 0.0 else -math.inf, scores, pointer)
-    kernel.spread(np.pad(probability, 1), stay, move, probabilities)
+    scores, probabilities = _blocks.empty(score.shape), _blocks.empty(score.shape)
+    kernel.max_sum(score, math.log(stay), math.log(move) if move > 0.0 else -math.inf, scores, pointer)
+    kernel.spread(probability, stay, move, probabilities)
     return scores, probabilities
-
-
-def _innovation2(share: FloatArray, height: FloatArray, value: float, sigma: float) -> float:
-    """Squared innovation of a reading over its variance as the forward recursion predicts it."""
-    mean = float(
-        (share * height).sum()
-    )  # no @: for a long vector BLAS wakes its threads, which costs more than it saves
-    return (value - mean) ** 2 / (sigma**2 + float((share * (height - mean) ** 2).sum()))
 
 
 def _measured(state: ViterbiState) -> ViterbiState:
     """The state with its estimate and covariance read off the grid."""
-    north, east = state.north_m, state.east_m
-    best = np.argwhere(state.score >= state.score.max())
-    at = best + np.array([state.south, state.west])
-    row, col = best[int(np.argmin((at**2).sum(axis=1)))].tolist()
-    estimate = np.array([north[row], east[col]])
-    rows, cols = state.probability.sum(axis=1), state.probability.sum(axis=0)
-    mean = np.array([rows @ north, cols @ east])
-    n, e = north - mean[0], east - mean[1]
-    cross = float(n @ (state.probability * e).sum(axis=1))
-    spread = np.array([[rows @ n**2, cross], [cross, cols @ e**2]]) + state.cell_m**2 / 12.0 * np.eye(2)
-    off = mean - estimate
-    return replace(state, estimate_m=estimate, spread_m2=spread, cov_m2=spread + np.outer(off, off))
+    row, col, *mean, nn, ne, ee = kernel.moments(state.score, state.probability, state.south, state.west)
+    cell = state.cell_m
+    estimate = state.prior.mean_m + cell * np.array([row, col], dtype=np.float64)
+    spread = cell * cell * (np.array([[nn, ne], [ne, ee]]) + np.eye(2) / 12.0)
+    off = cell * np.array([mean[0] - row, mean[1] - col])
+    return changed(state, estimate_m=estimate, spread_m2=spread, cov_m2=spread + np.outer(off, off))
