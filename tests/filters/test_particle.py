@@ -1,4 +1,4 @@
-"""Particle filter: converges to the Kalman filter on a plane as 1/sqrt(N); its kernels against plain numpy."""
+"""Particle filter: converges to the Kalman filter on a plane as 1/sqrt(N)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.records import Prior
 from terranav.experiment.stream import states
 from terranav.filters.particle import Particle
-from terranav.kernels.particle import systematic, weigh_cloud
-from terranav.maps.fields import gaussian_map, plane_map
 from tests.filters.test_pointmass import INS, flight, kalman, plane
 
 FloatArray = NDArray[np.float64]
@@ -39,74 +37,6 @@ def test_converges_to_the_kalman_filter_on_a_plane_as_one_over_root_n() -> None:
     assert np.mean(spread[-16:]) == pytest.approx(1.0, abs=0.03)
 
 
-def test_weights_equal_bayes_rule_and_voids_are_neutral() -> None:
-    rng = np.random.default_rng(4)
-    chart = gaussian_map(rng, cells=41, cell_m=50.0)
-    values = np.array(chart.values)
-    values[:, 25:] = np.nan
-    cloud = rng.uniform(-900.0, 900.0, (500, 2))
-    weight = rng.random(500)
-    weight /= weight.sum()
-    frame = chart.local_frame(*chart.centre_deg)
-    row, col = frame.cells(-cloud[:, 0], -cloud[:, 1])
-    coefficients = np.stack([frame.row, frame.col])
-    out = np.empty(500)
-    told, outliers = np.array([500.0, 40.0]), np.array([0.1, 5.0])
-    known, nis, effective = weigh_cloud(values, coefficients, cloud, weight, told, outliers, out)
-
-    i, j = np.floor(row).astype(int), np.floor(col).astype(int)
-    u, v = row - i, col - j
-    h = (1 - u) * ((1 - v) * values[i, j] + v * values[i, j + 1]) + u * (
-        (1 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
-    )
-    there = np.isfinite(h)
-    assert 50 < there.sum() < 450
-    r2 = ((h - 500.0) / 40.0) ** 2
-    likely = 0.9 * np.exp(-0.5 * r2) + 0.1 / 5.0 * np.exp(-0.5 * r2 / 25.0)
-    likely[~there] = (weight * likely)[there].sum() / weight[there].sum()
-    expected = weight * likely / (weight * likely).sum()
-    np.testing.assert_allclose(out, expected, rtol=1e-6)
-    assert known == pytest.approx(weight[there].sum())
-    assert effective == pytest.approx(1.0 / np.sum(expected**2), rel=1e-6)
-    away = (h - 500.0)[there]
-    mean = np.average(away, weights=weight[there])
-    assert nis == pytest.approx(mean**2 / (1600.0 + np.average((away - mean) ** 2, weights=weight[there])), rel=1e-6)
-    plain = np.empty(500)
-    weigh_cloud.py_func(values, coefficients, cloud, weight, told, outliers, plain)
-    np.testing.assert_allclose(out, plain, rtol=1e-12)
-
-
-def test_a_reading_that_contradicts_all_changes_nothing() -> None:
-    chart = plane_map(0.0, 0.0, cells=21)
-    frame = chart.local_frame(0.0, 0.0)
-    weight, out = np.full(50, 0.02), np.empty(50)
-    told = np.array([1e6, 1.0])
-    known, nis, effective = weigh_cloud(
-        chart.values, np.stack([frame.row, frame.col]), np.zeros((50, 2)), weight, told, np.array([0.0, 2.0]), out
-    )
-    np.testing.assert_array_equal(out, weight)
-    assert known == pytest.approx(1.0)
-    assert nis > 1e9
-    assert effective == pytest.approx(50.0)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_systematic_resampling_equals_the_search_in_the_cumulative_sum(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    weight = rng.random(1000) ** (1 + 8 * seed)
-    weight /= weight.sum()
-    offset = float(rng.random())
-    out = np.empty(1000, dtype=np.int64)
-    systematic(weight, offset, out)
-    expected = np.searchsorted(np.cumsum(weight), (np.arange(1000) + offset) / 1000, side="right")
-    np.testing.assert_array_equal(out, np.minimum(expected, 999))
-    plain = np.empty_like(out)
-    systematic.py_func(weight, offset, plain)
-    np.testing.assert_array_equal(out, plain)
-    copies = np.bincount(out, minlength=1000)
-    assert (np.abs(copies - 1000 * weight) < 1.0).all()
-
-
 @pytest.mark.parametrize("shape", ["gaussian", "uniform"])
 def test_the_cloud_starts_with_the_moments_of_the_prior(shape: str) -> None:
     cov = np.array([[900.0, 200.0], [200.0, 400.0]]) if shape == "gaussian" else np.diag([900.0, 400.0])
@@ -115,7 +45,8 @@ def test_the_cloud_starts_with_the_moments_of_the_prior(shape: str) -> None:
     np.testing.assert_allclose(state.mean_m, prior.mean_m, atol=1e-9)
     np.testing.assert_allclose(state.cov_m2, cov if shape == "gaussian" else 3.0 * cov, rtol=1e-6, atol=1e-9)
     if shape == "uniform":
-        assert np.abs(state.cloud_m - prior.mean_m).max() < 3.1 * 30.0
+        assert np.abs(state.north_m - 10.0).max() < 3.1 * 30.0
+        assert np.abs(state.east_m + 20.0).max() < 3.1 * 20.0
 
 
 def test_roughening_tells_copies_apart() -> None:
@@ -127,7 +58,7 @@ def test_roughening_tells_copies_apart() -> None:
     for roughening in (0.0, 0.2):
         filter_ = Particle((chart,), still, particles=2000, roughening=roughening)
         *_, state = states(filter_, Prior.from_ins(still), epochs, np.random.default_rng(2))
-        distinct.append(len(np.unique(state.cloud_m, axis=0)))
+        distinct.append(len(np.unique(state.north_m + 1j * state.east_m)))
     assert distinct[0] < 200
     assert distinct[1] > 1000
 

@@ -7,7 +7,7 @@ INS error spreads them.
     w_i <- w_i p(y | x_i);   when 1 / sum(w^2) < share m: systematic resampling (Kitagawa, J. Comput. Graph. Stat. 5,
     1996) and roughening, a normal jitter per axis of sigma K E m^(-1/2), E the extent of the cloud (Gordon, K = 0.2)
 
-The jitter is part of the next step's noise: one draw of normal numbers a step, whether there was a resampling or not.
+Resampling goes along strips on the ground (`kernels.neighbours`). The jitter is part of the next step's noise: one draw of normal numbers a step, whether there was a resampling or not.
 
 Random numbers are moment-matched: the initial cloud has exactly the prior's mean and covariance, and the noise of each
 step exactly its own and none in common with the cloud. Plain draws would do both only to 1/sqrt(m), which over many
@@ -17,7 +17,7 @@ steps without information looks like information.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.random import Generator
@@ -29,7 +29,9 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._maps import one_map_a_kind
-from terranav.kernels.particle import systematic, weigh_cloud
+from terranav.filters._normals import drawn_key, standard_normal
+from terranav.kernels import particle as kernels
+from terranav.kernels.neighbours import extent
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
 
@@ -39,11 +41,15 @@ LEAST_PARTICLES = 100
 MOST_PARTICLES = 10_000_000
 
 
+Moments = tuple[float, float, float, float, float]  # mean north and east, variance north, covariance, variance east
+
+
 @dataclass(frozen=True, slots=True)
 class ParticleState:
-    """The cloud (m, 2) [m], its weights (m,), their moments before the latest resampling, and what it left to do."""
+    """The cloud (m,), (m,) [m], its weights (m,), moments before the latest resampling and what it left to do."""
 
-    cloud_m: FloatArray
+    north_m: FloatArray
+    east_m: FloatArray
     weight: FloatArray
     mean_m: FloatArray
     cov_m2: FloatArray
@@ -109,33 +115,34 @@ class Particle:
         count = self.particles
         weight = np.full(count, 1.0 / count)
         if prior.shape == "gaussian":
-            drawn, target = rng.standard_normal((count, 2)), prior.cov_m2
+            drawn, target = standard_normal(rng, (count, 2)), prior.cov_m2
         else:
             drawn, target = rng.uniform(-3.0, 3.0, (count, 2)), np.diag(3.0 * np.diag(prior.cov_m2))
-        cloud = prior.mean_m + _with_moments(drawn, weight, target)
-        return ParticleState(cloud, weight, *_moments(cloud, weight))
+        cloud = prior.mean_m + _with_moments(drawn, target)
+        north, east = np.ascontiguousarray(cloud.T)
+        return ParticleState(north, east, weight, *_as_arrays(kernels.moments(north, east, weight, prior.mean_m)))
 
     def step(self, state: ParticleState, epoch: Epoch, rng: Generator) -> ParticleState:
         """Spread the cloud by the INS's growth since the last epoch, weigh it by the readings, resample if need be."""
+        key, offset = drawn_key(rng), float(rng.random())
         start_s = epoch.time_s if state.epoch is None else state.start_s
-        dt = 0.0 if state.epoch is None else epoch.time_s - state.epoch.time_s
-        before = epoch.time_s - dt - start_s
-        growth = [self.ins.position_growth_m2(before, dt, float(v)) for v in np.diag(state.cov_m2)]
-        cloud = _spread(state.cloud_m, state.weight, np.array(growth) + state.jitter_m2, rng)
-        state = replace(state, epoch=epoch, start_s=start_s, cloud_m=cloud, jitter_m2=np.zeros(2))
-        offset = float(rng.random())
+        north, east = self._spread(state, epoch, start_s, key)
+        weight, found, effective = state.weight, None, math.inf
         nis: list[float] = []
         known: list[float] = []
-        effective = math.inf
         for reading in epoch.measurements:
             for chart in self.maps:
                 if chart.kind == reading.kind:
-                    weight, share, innovation2, effective = self._weighed(state, epoch, chart, reading)
-                    state = replace(state, weight=weight)
+                    told = self._told(state, epoch, chart, reading)
+                    out = np.empty(self.particles)
+                    share, innovation2, effective, found = kernels.weigh_cloud(
+                        chart.values, *told, north, east, weight, state.mean_m, out
+                    )
+                    weight = out
                     known.append(share)
                     if share > 0.5:
                         nis.append(innovation2)
-        mean, cov = _moments(state.cloud_m, state.weight)
+        mean, cov = _as_arrays(found or kernels.moments(north, east, weight, state.mean_m))
         judgement = judge(
             self._judge,
             state.judgement,
@@ -144,9 +151,11 @@ class Particle:
             readings=len(nis),
             off_map=max(known) <= 0.5 if known else None,
         )
+        jitter = np.zeros(2)
+        if effective < self.resample_share * self.particles:
+            north, east, weight, jitter = self._resampled(north, east, weight, offset)
         last = epoch if known else state.last_reading
-        state = replace(state, mean_m=mean, cov_m2=cov, judgement=judgement, last_reading=last)
-        return self._resampled(state, offset) if effective < self.resample_share * self.particles else state
+        return ParticleState(north, east, weight, mean, cov, jitter, judgement, start_s, epoch, last)
 
     def estimate(self, state: ParticleState) -> Estimate:
         """Mean and covariance of the weighted cloud."""
@@ -157,73 +166,60 @@ class Particle:
 
     def posterior(self, state: ParticleState) -> Posterior:
         """The cloud itself."""
-        return Posterior(state.cloud_m[:, 0].copy(), state.cloud_m[:, 1].copy(), state.weight)
+        return Posterior(state.north_m, state.east_m, state.weight)
 
     @property
     def _judge(self) -> Judge:
         limit = self.converged_sigma_m
         return Judge(converged_sigma_m=min(chart.cell_m for chart in self.maps) if limit is None else limit)
 
-    def _weighed(
+    def _spread(
+        self, state: ParticleState, epoch: Epoch, start_s: float, key: np.uint64
+    ) -> tuple[FloatArray, FloatArray]:
+        """The cloud after the growth of the INS error since the last epoch and the jitter that is due."""
+        dt = 0.0 if state.epoch is None else epoch.time_s - state.epoch.time_s
+        before = epoch.time_s - dt - start_s
+        growth = [
+            self.ins.position_growth_m2(before, dt, float(variance)) + float(jitter)
+            for variance, jitter in zip(state.cov_m2.diagonal(), state.jitter_m2)
+        ]
+        if max(growth) <= 0.0:
+            return state.north_m, state.east_m
+        north, east = np.empty(self.particles), np.empty(self.particles)
+        variance = np.maximum(growth, 1e-12)
+        kernels.spread(state.north_m, state.east_m, state.weight, variance, state.mean_m, key, north, east)
+        return north, east
+
+    def _told(
         self, state: ParticleState, epoch: Epoch, chart: Map, reading: Measurement
-    ) -> tuple[FloatArray, float, float, float]:
-        """New weights, the share on the map, the NIS and the effective number of particles."""
-        radius = float(np.abs(state.cloud_m).max()) * math.sqrt(2.0)
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The local frame (2, 6), the reading (2,) and its outliers (2,), as the kernel takes them."""
+        radius = math.hypot(*state.mean_m) + 6.0 * largest_sigma_m(state.cov_m2)
         frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
-        told = np.array([reading.value, reading_sigma(reading, chart, state.last_reading, epoch)])
+        sigma = reading_sigma(reading, chart, state.last_reading, epoch)
         outliers = np.array([self.outlier_share, self.outlier_scale])
-        out = np.empty(self.particles)
-        coefficients = np.stack([frame.row, frame.col])
-        return out, *weigh_cloud(chart.values, coefficients, state.cloud_m, state.weight, told, outliers, out)
+        return np.stack([frame.row, frame.col]), np.array([reading.value, sigma]), outliers
 
-    def _resampled(self, state: ParticleState, offset: float) -> ParticleState:
+    def _resampled(
+        self, north: FloatArray, east: FloatArray, weight: FloatArray, offset: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Equal weights again; the jitter that tells copies apart comes with the next step."""
-        chosen = np.empty(self.particles, dtype=np.int64)
-        order = _neighbours_together(state.cloud_m, state.weight)
-        systematic(state.weight[order], offset, chosen)
-        cloud = state.cloud_m[order[chosen]]
-        extent = cloud.max(axis=0) - cloud.min(axis=0)
-        jitter = self.roughening**2 * extent**2 / self.particles
-        weight = np.full(self.particles, 1.0 / self.particles)
-        return replace(state, cloud_m=cloud, weight=weight, jitter_m2=jitter)
+        count = self.particles
+        copies_n, copies_e = np.empty(count), np.empty(count)
+        kernels.resample(north, east, weight, offset, copies_n, copies_e)
+        least, greatest = np.array([extent(copies_n), extent(copies_e)]).T
+        jitter = self.roughening**2 * (greatest - least) ** 2 / count
+        return copies_n, copies_e, np.full(count, 1.0 / count), jitter
 
 
-def _moments(cloud: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _as_arrays(moments: Moments) -> tuple[FloatArray, FloatArray]:
     """Mean (2,) and covariance (2, 2), which a cloud in a single place does not make singular."""
-    mean = weight @ cloud
-    away = cloud - mean
-    cov = (away * weight[:, None]).T @ away
-    return mean, 0.5 * (cov + cov.T) + 1e-6 * np.eye(2)
+    north, east, nn, ne, ee = moments
+    return np.array([north, east]), np.array([[nn + 1e-6, ne], [ne, ee + 1e-6]])
 
 
-def _neighbours_together(cloud: FloatArray, weight: FloatArray) -> NDArray[np.intp]:
-    """An order in which neighbours in the list are neighbours on the ground: along strips of equal weight, to and fro.
-
-    Systematic resampling of an ordered cloud has a smaller variance (Kitagawa 1996; Gerber, Chopin and Whiteley, Ann.
-    Statist. 47, 2019), and a weight that changes a little moves a copy a little, not across the cloud.
-    """
-    northward = np.argsort(cloud[:, 0], kind="stable")
-    share = np.empty(len(cloud))
-    share[northward] = np.cumsum(weight[northward])
-    strip = np.floor(share * math.sqrt(len(cloud)))  # as many strips as copies within each
-    return np.lexsort((np.where(strip % 2.0 == 0.0, cloud[:, 1], -cloud[:, 1]), strip))
-
-
-def _with_moments(drawn: FloatArray, weight: FloatArray, target: FloatArray) -> FloatArray:
-    """The numbers, shifted and mixed linearly to mean zero and exactly this covariance under the weights."""
-    away = drawn - weight @ drawn
-    own = np.linalg.cholesky((away * weight[:, None]).T @ away)
+def _with_moments(drawn: FloatArray, target: FloatArray) -> FloatArray:
+    """The numbers, shifted and mixed linearly to mean zero and exactly this covariance."""
+    away = drawn - drawn.mean(axis=0)
+    own = np.linalg.cholesky(away.T @ away / len(away))
     return np.asarray(away @ np.linalg.inv(own).T @ np.linalg.cholesky(target).T)
-
-
-def _spread(cloud: FloatArray, weight: FloatArray, growth_m2: FloatArray, rng: Generator) -> FloatArray:
-    """The cloud with normal noise that is uncorrelated with it under the weights and has exactly this variance."""
-    noise = rng.standard_normal(cloud.shape)
-    if growth_m2.max() <= 0.0:
-        return cloud
-    away = cloud - weight @ cloud
-    weighted = away * weight[:, None]
-    scatter = weighted.T @ away
-    if np.linalg.cond(scatter) < 1e12:
-        noise = noise - away @ np.linalg.solve(scatter, weighted.T @ noise)
-    return cloud + _with_moments(noise, weight, np.diag(np.maximum(growth_m2, 1e-12)))
