@@ -14,12 +14,13 @@ integrity monitoring (Blanch et al., Baseline advanced RAIM user algorithm, IEEE
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terranav.core.frozen import changed
 from terranav.core.kinds import KINDS
 from terranav.core.records import Epoch, Measurement
 from terranav.integrity.windows import CENTRE, PLACE, VALUE, Window
@@ -53,7 +54,7 @@ class Rivals:
     Attributes
     ----------
     spacing_m : float
-    shift_m : (n, 2) float64
+    shift_m : (2, n) float64
         How far each has followed the slope of the map within its cell.
     odds : (n,) float64
         Log likelihood ratio against the estimate.
@@ -74,9 +75,9 @@ class Rivals:
     @classmethod
     def within(cls, reach_m: float, finest_m: float) -> Rivals:
         """Rivals as far as `reach_m`, but not closer than `finest_m`."""
-        n = len(_lattice()[0])
+        n = len(_lattice()[1])
         spacing = max(reach_m / (SIDE // 2), finest_m)
-        return cls(spacing, np.zeros((n, 2)), np.zeros(n))
+        return cls(spacing, np.zeros((2, n)), np.zeros(n))
 
     @property
     def reach_m(self) -> float:
@@ -135,31 +136,30 @@ def weighed(
         Probability that is counted as refuted.
     """
     node = _lattice()[0] * rivals.spacing_m
-    n = len(node)
+    n = node.shape[1]
     before = dict(rivals.evidence).get(reading.kind)
     if before is None:
         sigma = KINDS[reading.kind].bias_sigma
         before = Evidence(np.zeros(n), (10.0 * sigma) ** 2 + chart.sigma**2, np.zeros(n))
-    far = float(np.hypot(*centre_m)) + 1.5 * rivals.reach_m
+    far = math.hypot(*centre_m.tolist()) + 1.5 * rivals.reach_m
     frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(far, chart.cell_m))
     white = (factor * reading.sigma) ** 2
-    out = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
+    out = np.empty((5, n))
     numbers = (
         reading.value, white, before.variance, rivals.spacing_m**2 / 12.0, rivals.spacing_m,
         math.log(budget) - CERTAIN, FADING,
     )  # fmt: skip
     kernels.weigh_rivals(
-        chart.values, np.stack([frame.row, frame.col]), centre_m, node, rivals.shift_m, before.bias, rivals.odds,
+        chart.values, np.array((frame.row, frame.col)), centre_m, node, rivals.shift_m, before.bias, rivals.odds,
         before.recent, np.array(numbers), out,
     )  # fmt: skip
-    shift, bias, odds, recent = out
     settled = before.variance * white / (before.variance + white)
-    after = Evidence(bias, settled + 0.5 * chart.sigma**2, recent, before.readings + 1)
+    after = Evidence(out[2], settled + 0.5 * chart.sigma**2, out[4], before.readings + 1)
     others = tuple(pair for pair in rivals.evidence if pair[0] != reading.kind)
-    return replace(
+    return changed(
         rivals,
-        shift_m=shift,
-        odds=odds,
+        shift_m=out[:2],
+        odds=out[3],
         evidence=(*others, (reading.kind, after)),
         readings=rivals.readings + 1,
     )
@@ -179,18 +179,18 @@ def standing(rivals: Rivals, budget: float, near_m: float) -> Standing:
         Probability that may be left out.
     near_m : float [m]
     """
-    nodes, distance, order = _lattice()
+    nodes, distance = _lattice()
     near = max(near_m / rivals.spacing_m, NEAR)
     odds = rivals.odds
     if not rivals.proved:
         recent = np.sum([evidence.recent for _, evidence in rivals.evidence], axis=0) if rivals.evidence else 0.0
         odds = np.where(recent > FITS, np.maximum(odds, np.minimum(recent, 0.0)), odds)
-    reach, share, best = kernels.reach_of_rivals(distance, order, odds, budget, near)
+    reach, share, best = kernels.reach_of_rivals(distance, odds, budget, near)
     return Standing(
         reach * rivals.spacing_m,
         share,
         float(odds[best]) if best else 0.0,
-        nodes[best] * rivals.spacing_m,
+        nodes[:, best] * rivals.spacing_m,
         rivals.readings,
     )
 
@@ -201,8 +201,8 @@ def rank(rivals: Rivals, window: Window, chart: Map, readings: int) -> float:
     About one half where the estimate is as good as any other place, next to nothing where it is right.
     """
     rows = window.rows[-readings:]
-    nodes, distance, _ = _lattice()
-    far = nodes[distance > NEAR][::RANKED] * rivals.spacing_m
+    nodes, distance = _lattice()
+    far = nodes.T[distance > NEAR][::RANKED] * rivals.spacing_m
     reach = 1.5 * rivals.reach_m + float(np.abs(rows[:, CENTRE]).max())
     at = [chart.local_frame(lat, lon, max(reach, chart.cell_m)) for lat, lon in rows[:, PLACE]]
     frames = np.array([(frame.row, frame.col) for frame in at])
@@ -216,13 +216,12 @@ def rank(rivals: Rivals, window: Window, chart: Map, readings: int) -> float:
 
 
 @lru_cache(maxsize=1)
-def _lattice() -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-    """Offsets within a disc in spacings, the centre first; their distances; the places by falling distance."""
+def _lattice() -> tuple[FloatArray, FloatArray]:
+    """Offsets (2, n) within a disc in spacings, and their distances, the centre first and rising from there."""
     at = np.arange(SIDE) - SIDE // 2
     north, east = (axis.ravel().astype(np.float64) for axis in np.meshgrid(at, at, indexing="ij"))
     inside = np.hypot(north, east) <= SIDE // 2 + 0.5
-    nodes = np.stack([north[inside], east[inside]], axis=1)
-    distance = np.hypot(*nodes.T)
+    nodes = np.stack([north[inside], east[inside]])
+    distance = np.hypot(*nodes)
     rising = np.argsort(distance, kind="stable")
-    nodes, distance = np.ascontiguousarray(nodes[rising]), distance[rising]
-    return nodes, distance, np.argsort(-distance, kind="stable")
+    return np.ascontiguousarray(nodes[:, rising]), distance[rising]

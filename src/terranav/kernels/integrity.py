@@ -6,35 +6,18 @@ import math
 
 import numpy as np
 
+from terranav.kernels.fastmath import fast_exp
 from terranav.kernels.jit import jit
+from terranav.kernels.marginalized import BLOCK, SUMS
 from terranav.kernels.sampling import bilinear_at
+from terranav.kernels.sloped import scratch, sloped
 
 BINS = 200  # of the distance from the mean, in steps of 5 %
 STEP = 0.05
 CLIP = 9.0  # one reading speaks for or against a place by at most half of this
 
 
-@jit
-def _at(values, frame, n, e):
-    """Map value and slope (north, east) at n, e metres from the origin of a frame; NaN where the map is silent."""
-    rows, cols = values.shape
-    r, c = frame[0], frame[1]
-    row = r[0] + n * (r[1] + r[3] * n + r[4] * e) + e * (r[2] + r[5] * e)
-    col = c[0] + n * (c[1] + c[3] * n + c[4] * e) + e * (c[2] + c[5] * e)
-    if not (row >= 0.0 and col >= 0.0 and row <= rows - 1.0 and col <= cols - 1.0):
-        return bilinear_at(values, row, col), 0.0, 0.0
-    i, j = min(int(row), rows - 2), min(int(col), cols - 2)
-    u, v = row - i, col - j
-    one, two, three, four = values[i, j], values[i, j + 1], values[i + 1, j], values[i + 1, j + 1]
-    low, high = one + v * (two - one), three + v * (four - three)
-    value = low + u * (high - low)
-    if value != value:
-        return bilinear_at(values, row, col), 0.0, 0.0
-    by_row, by_col = high - low, (1.0 - u) * (two - one) + u * (four - three)
-    return value, by_row * r[1] + by_col * c[1], by_row * r[2] + by_col * c[2]
-
-
-@jit
+@jit(fastmath=SUMS)
 def weigh_rivals(values, frame, origin, node, shift, bias, odds, recent, numbers, out):
     """One reading, weighed at the estimated place (the first node) and at its rivals.
 
@@ -46,51 +29,72 @@ def weigh_rivals(values, frame, origin, node, shift, bias, odds, recent, numbers
     values : (rows, cols) float32
     frame : (2, 6) float64, of the LocalFrame at the indicated position
     origin : (2,) float64, the estimated INS error [m]
-    node : (n, 2) float64, offsets of the rivals from it; the first is zero [m]
-    shift : (n, 2) float64, how far each has followed the slope within its cell [m]
+    node : (2, n) float64, offsets of the rivals from it; the first is zero [m]
+    shift : (2, n) float64, how far each has followed the slope within its cell [m]
     bias : (n,) float64
     odds, recent : (n,) float64
         Logarithm of the likelihood ratio against the first, of all readings, and with fading memory.
     numbers : (7,) float64
         Reading; white variance; variance of the bias; variance of the place within a cell [m^2]; farthest that a rival
         may follow the slope [m]; least odds; fading.
-    out : (shift, bias, odds, recent) of the same shapes, written
+    out : (5, n) written: shift north and east, bias, odds, recent
     """
     value, white, common, cell2, tether, least, fading = numbers
-    new_shift, new_bias, new_odds, new_recent = out
+    work, found, at, block = scratch(), np.empty((3, BLOCK)), np.empty((2, BLOCK)), np.empty((2, BLOCK))
     first = 0.0
-    for k in range(odds.size):
-        n = origin[0] + node[k, 0] + shift[k, 0]
-        e = origin[1] + node[k, 1] + shift[k, 1]
-        h, gn, ge = _at(values, frame, -n, -e)
-        new_shift[k, 0], new_shift[k, 1], new_bias[k] = shift[k, 0], shift[k, 1], bias[k]
-        if h != h:
-            new_odds[k], new_recent[k] = odds[k], recent[k]
-            continue
-        r = value - h - bias[k]
-        variance = white + common + (gn * gn + ge * ge) * cell2
-        against = 0.5 * min(r * r / variance, CLIP)
-        gain = r / variance if r * r < CLIP * variance else math.copysign(math.sqrt(CLIP / variance), r)
-        new_bias[k] = bias[k] + common * gain
-        if k == 0:
-            first = against
-        else:
-            follow = gain * cell2  # h falls with the error: dr/dn = +gn
-            new_shift[k, 0] = min(max(shift[k, 0] - follow * gn, -tether), tether)
-            new_shift[k, 1] = min(max(shift[k, 1] - follow * ge, -tether), tether)
-        new_odds[k] = max(odds[k] + first - against, least)
-        new_recent[k] = fading * recent[k] + first - against
-    new_odds[0], new_recent[0] = 0.0, 0.0
+    for start in range(0, odds.size, BLOCK):
+        stop = min(start + BLOCK, odds.size)
+        size = stop - start
+        for i in range(2):
+            place, base, away, moved = at[i, :size], origin[i], node[i, start:stop], shift[i, start:stop]
+            for k in range(size):
+                place[k] = base + away[k] + moved[k]
+        sloped(values, frame, at[0, :size], at[1, :size], work, found)
+        height, rise_n, rise_e, own = found[0, :size], found[1, :size], found[2, :size], bias[start:stop]
+        gain, against = block[0, :size], block[1, :size]
+        for k in range(size):
+            r = value - height[k] - own[k]
+            there = r == r
+            r = r if there else 0.0
+            precision = 1.0 / (white + common + (rise_n[k] * rise_n[k] + rise_e[k] * rise_e[k]) * cell2)
+            square = r * r * precision
+            most = math.copysign(math.sqrt(CLIP * precision), r)
+            gain[k] = r * precision if square < CLIP else most
+            against[k] = 0.5 * (square if square < CLIP else CLIP) if there else np.nan
+        if start == 0 and against[0] == against[0]:
+            first = against[0]
+        for i in range(2):
+            rise, moved, after = found[1 + i, :size], shift[i, start:stop], out[i, start:stop]
+            for k in range(size):
+                step = moved[k] - gain[k] * cell2 * rise[k]  # h falls with the error: dr/dn = +gn
+                step = step if step > -tether else -tether
+                after[k] = step if step < tether else tether
+        after, before = out[2, start:stop], bias[start:stop]
+        for k in range(size):
+            after[k] = before[k] + common * gain[k]
+        _ratios(odds[start:stop], against, first, 1.0, least, out[3, start:stop])
+        _ratios(recent[start:stop], against, first, fading, -np.inf, out[4, start:stop])
+    for i in range(2):
+        out[i, 0] = shift[i, 0]
+    out[3, 0], out[4, 0] = 0.0, 0.0
 
 
 @jit
-def reach_of_rivals(distance, order, odds, budget, near):
+def _ratios(before, against, first, keep, least, after):
+    """Log likelihood ratios after a reading, as they were where the map is silent."""
+    for k in range(after.size):
+        ratio = keep * before[k] + first - against[k]
+        ratio = ratio if ratio > least else least
+        after[k] = ratio if against[k] == against[k] else before[k]
+
+
+@jit(fastmath=SUMS)
+def reach_of_rivals(distance, odds, budget, near):
     """How far from the estimate the rivals that are not refuted reach.
 
     Parameters
     ----------
-    distance : (n,) of each place [m]; the first is the estimate
-    order : (n,) int, places by falling distance
+    distance : (n,) of each place, rising [m]; the first is the estimate
     odds : (n,) log likelihood ratio against the estimate
     budget : float, probability that may be left out
     near : float, rivals nearer than this belong to the estimate's own surroundings [m]
@@ -101,22 +105,27 @@ def reach_of_rivals(distance, order, odds, budget, near):
     share : probability of the rivals that are not near, each even odds with the estimate before any reading
     best : index of the likeliest rival that is not near, 0 when there is none
     """
-    share, best = 0.0, 0
-    for k in range(1, odds.size):
-        if distance[k] > near:
-            share += math.exp(odds[k])
-            if best == 0 or odds[k] > odds[best]:
-                best = k
-    total = 1.0 + share
-    beyond, reach = 0.0, 0.0
-    for i in range(odds.size - 1):
-        k = order[i]
-        if distance[k] <= near:
-            break
-        beyond += math.exp(odds[k])
-        if beyond > budget * total:
-            reach = distance[k]
-            break
+    n = odds.size
+    start = max(np.searchsorted(distance, near, side="right"), 1)
+    if start >= n:
+        return 0.0, 0.0, 0
+    best = start
+    for k in range(start, n):
+        best = k if odds[k] > odds[best] else best
+    top = max(odds[best], 0.0)
+    likely, share = np.empty(n), 0.0
+    for k in range(start, n):
+        each = fast_exp(odds[k] - top)
+        likely[k] = each
+        share += each
+    total = math.exp(-top) + share
+    beyond, reach, allowed = 0.0, 0.0, budget * total
+    if share > allowed:
+        for k in range(n - 1, start - 1, -1):
+            beyond += likely[k]
+            if beyond > allowed:
+                reach = distance[k]
+                break
     return reach, share / total, best
 
 
@@ -136,7 +145,11 @@ def scatter(values, frames, centre, value, node, out):
     for k in range(len(node)):
         count, mean, square = 0, 0.0, 0.0
         for i in range(value.size):
-            h = _at(values, frames[i], -centre[i, 0] - node[k, 0], -centre[i, 1] - node[k, 1])[0]
+            r, c = frames[i, 0], frames[i, 1]
+            n, e = -centre[i, 0] - node[k, 0], -centre[i, 1] - node[k, 1]
+            row = r[0] + n * (r[1] + r[3] * n + r[4] * e) + e * (r[2] + r[5] * e)
+            col = c[0] + n * (c[1] + c[3] * n + c[4] * e) + e * (c[2] + c[5] * e)
+            h = bilinear_at(values, row, col)
             if h == h:
                 count += 1
                 away = value[i] - h - mean
@@ -145,7 +158,19 @@ def scatter(values, frames, centre, value, node, out):
         out[k] = square / count if 2 * count >= value.size else np.nan
 
 
-@jit
+@jit(forceinline=True)
+def _log(x):
+    """Natural logarithm of a normal number > 0 to 1e-11, without a branch: exponent, and the series of atanh."""
+    bits = np.float64(x).view(np.int64)
+    power = (bits - np.int64(0x3FE6A09E667F3BCD)) >> 52  # mantissa between sqrt(1/2) and sqrt(2)
+    m = np.int64(bits - (power << 52)).view(np.float64)
+    t = (m - 1.0) / (m + 1.0)
+    s = t * t
+    series = 1.0 / 7.0 + s * (1.0 / 9.0 + s * (1.0 / 11.0 + s * (1.0 / 13.0)))
+    return np.float64(power) * 0.6931471805599453 + 2.0 * t * (1.0 + s * (1.0 / 3.0 + s * (1.0 / 5.0 + s * series)))
+
+
+@jit(fastmath=SUMS)
 def tail(north, east, weight, centre, outside):
     """How far a cloud reaches from its mean.
 
@@ -162,15 +187,22 @@ def tail(north, east, weight, centre, outside):
     far : weight beyond 7 times the median distance
     sigma2 : mean squared distance [m^2]
     """
-    sigma2 = 0.0
+    sigma2, n, e = 0.0, centre[0], centre[1]
     for k in range(weight.size):
-        sigma2 += weight[k] * ((north[k] - centre[0]) ** 2 + (east[k] - centre[1]) ** 2)
+        sigma2 += weight[k] * ((north[k] - n) * (north[k] - n) + (east[k] - e) * (east[k] - e))
     scale = 1e4 / max(sigma2, 1e-12)
     mass, base = np.zeros(BINS + 1), BINS - 1.0 - math.log(1e4 * 400.0) / (2.0 * STEP)
-    for k in range(weight.size):
-        d2 = ((north[k] - centre[0]) ** 2 + (east[k] - centre[1]) ** 2) * scale
-        at = base + math.log(d2 + 1e-12) / (2.0 * STEP)
-        mass[max(0, min(BINS, int(at)))] += weight[k]
+    at = np.empty(BLOCK, np.int64)
+    for start in range(0, weight.size, BLOCK):
+        stop = min(start + BLOCK, weight.size)
+        one, two = north[start:stop], east[start:stop]
+        for k in range(one.size):
+            d2 = ((one[k] - n) * (one[k] - n) + (two[k] - e) * (two[k] - e)) * scale
+            place = base + _log(d2 + 1e-12) * (0.5 / STEP)
+            place = place if place > 0.0 else 0.0
+            at[k] = np.int64(place if place < BINS else BINS)
+        for k in range(one.size):
+            mass[np.uint64(at[k])] += weight[start + k]
     below, core, reach, far = 0.0, 0.0, 0.0, 0.0
     for i in range(BINS + 1):
         edge = math.exp((i + 1.0 - base) * STEP) / math.sqrt(scale)

@@ -10,7 +10,7 @@ from terranav.kernels.fastmath import fast_exp
 from terranav.kernels.jit import jit
 from terranav.kernels.marginalized import BLOCK, SUMS, add_moments, block_of, centred
 from terranav.kernels.matrices import bayes
-from terranav.kernels.sampling import bilinear_at
+from terranav.kernels.sloped import scratch, sloped
 
 INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
 SAMPLED = 512  # particles that are enough to tell the noise by
@@ -36,67 +36,26 @@ def compare(values, frame, cloud, weight, value, bias, residual, slope2):
     mean, variance : of the residual there, NaN where the map says nothing at all
     slope2 : its mean there
     """
-    rows, cols = values.shape
-    flat, width, most_row, most_col = values.reshape(values.size), np.uint64(cols), rows - 2.0, cols - 2.0
-    r0, r1, r2, r3, r4, r5 = frame[0]
-    c0, c1, c2, c3, c4, c5 = frame[1]
-    at, corners, place = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32), np.empty((3, BLOCK))
-    known, mean, square, steep, silent = 0.0, 0.0, 0.0, 0.0, 0
+    known, mean, square, steep = 0.0, 0.0, 0.0, 0.0
+    work, found = scratch(), np.empty((3, BLOCK))
     for start in range(0, residual.size, BLOCK):
         stop = min(start + BLOCK, residual.size)
         size = stop - start
-        north, east, w = cloud[0, start:stop], cloud[1, start:stop], weight[start:stop]
-        down, right, inside = place[0, :size], place[1, :size], place[2, :size]
+        sloped(values, frame, cloud[0, start:stop], cloud[1, start:stop], work, found)
+        height, rise_n, rise_e = found[0, :size], found[1, :size], found[2, :size]
+        own, patch, left = cloud[bias, start:stop], cloud[bias + 1, start:stop], residual[start:stop]
         for k in range(size):
-            n, e = -north[k], -east[k]
-            row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
-            col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
-            there = (row >= 0.0) & (row <= most_row + 1.0) & (col >= 0.0) & (col <= most_col + 1.0)
-            inside[k] = 0.0 if there else np.nan
-            row, col = (row if row > 0.0 else 0.0), (col if col > 0.0 else 0.0)
-            y, x = np.floor(row if row < most_row else most_row), np.floor(col if col < most_col else most_col)
-            down[k], right[k] = row - y, col - x
-            at[k] = np.uint64(np.int64(y * cols + x))
-        one, two, three, four = corners[0, :size], corners[1, :size], corners[2, :size], corners[3, :size]
-        for k in range(size):  # loads and stores alone, so that the loops around it run on whole registers
-            first = at[k]
-            one[k], two[k] = flat[first], flat[first + np.uint64(1)]
-            three[k], four[k] = flat[first + width], flat[first + width + np.uint64(1)]
-        own, patch, left, slope = (
-            cloud[bias, start:stop],
-            cloud[bias + 1, start:stop],
-            residual[start:stop],
-            slope2[start:stop],
-        )
+            left[k] = value - height[k] - own[k] - patch[k]
+        slope, w = slope2[start:stop], weight[start:stop]
         for k in range(size):
-            a, c, u, v = np.float64(one[k]), np.float64(three[k]), down[k], right[k]
-            top, bottom = np.float64(two[k]) - a, np.float64(four[k]) - c
-            a += v * top
-            by_row, by_col = c + v * bottom - a, top + u * (bottom - top)
-            dn, de = by_row * r1 + by_col * c1, by_row * r2 + by_col * c2
-            r, s = value - (a + u * by_row) - own[k] - patch[k] + inside[k], dn * dn + de * de
-            left[k], slope[k] = r, s
+            r, s = left[k], rise_n[k] * rise_n[k] + rise_e[k] * rise_e[k]
+            slope[k] = s
             there = r == r
             p, r = (w[k] if there else 0.0), (r if there else 0.0)
-            silent += 0 if there else 1
             known += p
             mean += p * r
             square += p * r * r
-            steep += p * (s if there else 0.0)
-    if silent > 0:
-        for k in range(residual.size):
-            if residual[k] != residual[k]:
-                n, e, p = -cloud[0, k], -cloud[1, k], weight[k]
-                row = r0 + n * (r1 + r3 * n + r4 * e) + e * (r2 + r5 * e)
-                col = c0 + n * (c1 + c3 * n + c4 * e) + e * (c2 + c5 * e)
-                r = value - bilinear_at(values, row, col) - cloud[bias, k] - cloud[bias + 1, k]
-                residual[k] = r
-                slope2[k] = 0.0 if slope2[k] != slope2[k] else slope2[k]
-                if r == r:  # in the slack of the edge, or beside a void that has no weight
-                    known += p
-                    mean += p * r
-                    square += p * r * r
-                    steep += p * slope2[k]
+            steep += p * s
     if known <= 0.0:
         return 0.0, np.nan, np.nan, 0.0
     mean = mean / known
