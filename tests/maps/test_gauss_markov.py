@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from terranav.core.errors import ConfigError
-from terranav.kernels.gauss_markov import continue_field
+from terranav.kernels.gauss_markov import TILE, continue_field
+from terranav.kernels.random import normal_pairs
 from terranav.maps.gauss_markov import GaussMarkov, _recursion, gauss_markov_field, gauss_markov_map
 
 PAPER_TERRAIN = (GaussMarkov(20.0, 0.01), 1.0)
@@ -77,15 +79,61 @@ def test_field_is_stationary_from_its_first_row_and_column() -> None:
     assert down == pytest.approx(float(process.autocorrelation(np.array(10.0))), abs=4.0 * 9.0 * 1.4 / math.sqrt(1000))
 
 
-def test_kernel_equals_its_python_source() -> None:
+def series(white: np.ndarray, numbers: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """The filter of `continue_field` along the last axis, by scipy."""
+    a1, a2, b0, b1 = numbers[:4]
+    return np.asarray(lfilter([b0, b1], [1.0, -a1, -a2], white, zi=start)[0])
+
+
+def white_rows(key: int, rows: int, cols: int) -> np.ndarray:
+    """The noise of `continue_field`: (rows, cols + 2), the last two start a row's filter."""
+    pairs, out = (cols + 1) // 2 + 1, np.empty((rows, cols + 2))
+    for i in range(rows):
+        left, right = np.empty(pairs), np.empty(pairs)
+        normal_pairs(np.uint64(key), i * pairs, left, right)
+        parts = []
+        for begin in range(0, cols, TILE):
+            at = slice(begin // 2, begin // 2 + (min(TILE, cols - begin) + 1) // 2)
+            parts.append(np.concatenate([left[at], right[at]])[: min(TILE, cols - begin)])
+        out[i] = np.concatenate([*parts, [left[-1], right[-1]]])
+    return out
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(6, 9), (1, 1), (5, 2), (2, TILE), (9, TILE + 1), (4, 2 * TILE + 7)])
+def test_kernel_equals_scipys_filters_compiled_or_not(rows: int, cols: int) -> None:
     across, down = _recursion(GaussMarkov(2.0, 0.3), 1.0), _recursion(GaussMarkov(1.0, 0.1), 1.0)
-    white = np.random.default_rng(1).standard_normal((6, 9))
-    outs = []
+    white, start = white_rows(7, rows + 3, cols)[3:], np.random.default_rng(1).normal(size=(2, cols))
+    l11, l21, l22 = across[4:]
+    begin = np.stack([l11 * white[:, cols], l21 * white[:, cols] + l22 * white[:, cols + 1]], axis=-1)
+    lines = series(white[:, :cols], across, begin)
+    expected = 50.0 + series(lines.T, down, start.T).T
     for function in (continue_field, continue_field.py_func):
-        start, out = np.ones((2, 7)), np.empty((6, 7))
-        function(white, across, down, start, out)
-        outs.append(np.concatenate([out, start]))
-    np.testing.assert_allclose(outs[0], outs[1], rtol=1e-12)
+        state, out = start.copy(), np.empty((rows, cols))
+        function(np.uint64(7), 3, across, down, state, 50.0, out)
+        np.testing.assert_allclose(out, expected, rtol=1e-11)
+        if rows > 1:  # in two parts it is the same, to the last bit
+            state, parts = start.copy(), np.empty((rows, cols))
+            function(np.uint64(7), 3, across, down, state, 50.0, parts[:1])
+            function(np.uint64(7), 4, across, down, state, 50.0, parts[1:])
+            np.testing.assert_array_equal(parts, out)
+
+
+def test_a_map_is_its_field_in_single_precision() -> None:
+    field = gauss_markov_field(
+        np.random.default_rng(3), 40, 70, (GaussMarkov(1.0, 0.01), GaussMarkov(20.0, 0.01)), 30.0
+    )
+    chart = gauss_markov_map(np.random.default_rng(3), shape=(40, 70), spacing_m=30.0, mean=57.5)
+    np.testing.assert_array_equal(chart.values, (field + 57.5).astype(np.float32))
+
+
+def test_a_field_that_does_not_fit_is_refused_before_it_is_made() -> None:
+    rng = np.random.default_rng(0)
+    for value_range in (None, (0.0, 1.0)):
+        with pytest.raises(ConfigError, match=r"gauss_markov map of 4000000 x 4000000 cells: needs \d+\.\d GiB"):
+            gauss_markov_map(rng, shape=(4_000_000, 4_000_000), value_range=value_range)
+    process = GaussMarkov(1.0, 0.1)
+    with pytest.raises(ConfigError, match=r"gauss_markov field of 4000000 x 4000000 cells: needs \d+\.\d GiB"):
+        gauss_markov_field(rng, 4_000_000, 4_000_000, (process, process), 1.0)
 
 
 def test_profile_has_the_covariance_of_value_and_slope() -> None:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -33,11 +34,10 @@ from terranav.core.checks import finite
 from terranav.core.earth import metres_per_degree
 from terranav.core.errors import ConfigError
 from terranav.core.kinds import kind_named
+from terranav.core.memory import need
 from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
-
-_BLOCK = 64  # rows drawn at once: the noise of a large field never lies in memory whole
 
 
 @dataclass(frozen=True)
@@ -123,20 +123,32 @@ def gauss_markov_field(
     Returns
     -------
     field : (rows, cols) [unit]
+
+    Raises
+    ------
+    ConfigError
+        When it does not fit into the memory that is left.
     """
+    need(8.0 * rows * cols, f"gauss_markov field of {rows} x {cols} cells")
+    out = np.empty((rows, cols))
+    _fill(rng, processes, spacing, 0.0, out)
+    return out
+
+
+def _fill(
+    rng: Generator, processes: tuple[GaussMarkov, GaussMarkov], spacing: float, mean: float, out: NDArray[Any]
+) -> None:
+    """Write a field, float64 or float32; all its noise comes from one number of the generator."""
     from terranav.kernels.gauss_markov import continue_field
 
     down, across = (_recursion(process, spacing) for process in processes)
-    out = np.empty((rows, cols))
+    key = np.uint64(rng.integers(0, 2**64 - 1, dtype=np.uint64, endpoint=True))
     # the filters down the columns start in their stationary distribution, correlated along the rows like the field
-    seeds = np.empty((2, cols))
+    seeds = np.empty((2, out.shape[1]))
     copy = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    continue_field(rng.standard_normal((2, cols + 2)), across, copy, np.zeros((2, cols)), seeds)
+    continue_field(key, 0, across, copy, np.zeros_like(seeds), 0.0, seeds)
     start = np.stack([down[4] * seeds[0], down[5] * seeds[0] + down[6] * seeds[1]])
-    for first in range(0, rows, _BLOCK):
-        part = out[first : first + _BLOCK]
-        continue_field(rng.standard_normal((len(part), cols + 2)), across, down, start, part)
-    return out
+    continue_field(key, 2, across, down, start, mean, out)
 
 
 def gauss_markov_map(
@@ -176,7 +188,7 @@ def gauss_markov_map(
     Raises
     ------
     ConfigError
-        Naming the setting that is out of its range.
+        Naming the setting that is out of its range, or the memory that a map of this shape needs and there is not.
     """
     spacing = finite("gauss_markov spacing_m", spacing_m, above=0.0)
     finite("gauss_markov mean", mean)
@@ -185,10 +197,16 @@ def gauss_markov_map(
     if value_range is not None and not value_range[0] < value_range[1]:
         raise ConfigError(f"gauss_markov value_range is {value_range!r}, expected (lowest, highest)")
     across = GaussMarkov(sigma, omega_rad_per_m)
-    field = gauss_markov_field(rng, *shape, (GaussMarkov(1.0, omega_rad_per_m), across), spacing)
+    processes = (GaussMarkov(1.0, omega_rad_per_m), across)
+    field: NDArray[Any]
     if value_range is None:
-        field += mean
+        need(6.0 * shape[0] * shape[1], f"gauss_markov map of {shape[0]} x {shape[1]} cells")  # and two masks of it
+        field = np.empty(shape, np.float32)
+        _fill(rng, processes, spacing, mean, field)
+        field.setflags(write=False)  # so that the map keeps it instead of a copy
     else:
+        need(14.0 * shape[0] * shape[1], f"gauss_markov map of {shape[0]} x {shape[1]} cells")
+        field = gauss_markov_field(rng, *shape, processes, spacing)
         low, high = float(field.min()), float(field.max())
         field *= (value_range[1] - value_range[0]) / (high - low)
         field += value_range[1] - float(field.max())
