@@ -173,9 +173,10 @@ def test_resampling_equals_the_search_in_the_cumulative_sum(count: int, power: f
     weight /= weight.sum()
     offset = float(np.random.default_rng(1).random())
     out_n, out_e = np.empty(count), np.empty(count)
-    kernels.resample(north, east, weight, offset, out_n, out_e)
-    order = np.empty(count, np.int32)
-    neighbours_together(north, east, weight, order)
+    scratch = np.empty((4, count + 1), np.int32)
+    kernels.resample(north, east, weight, offset, scratch, out_n, out_e)
+    neighbours_together(north, east, weight, scratch)
+    order = scratch[0, :-1]
     expected = order[np.searchsorted(np.cumsum(weight[order]), (np.arange(count) + offset) / count, side="right")]
     np.testing.assert_array_equal(out_n, north[expected])
     np.testing.assert_array_equal(out_e, east[expected])
@@ -190,7 +191,7 @@ def test_all_the_weight_on_one_gives_copies_of_that_one(offset: float) -> None:
         weight[:] = 0.0
         weight[chosen] = 1.0
         out_n, out_e = np.empty(100), np.empty(100)
-        kernels.resample(north, east, weight, offset, out_n, out_e)
+        kernels.resample(north, east, weight, offset, np.empty((4, 101), np.int32), out_n, out_e)
         assert (out_n == north[chosen]).all()
         assert (out_e == east[chosen]).all()
 
@@ -208,7 +209,7 @@ kernels.spread(north, east, weight, np.array([4.0, 9.0]), centre, np.uint64(9), 
 reading, outliers = np.array([100.0, 20.0]), np.array([0.02, 10.0])
 said = kernels.weigh_cloud(values, frame, reading, outliers, n, e, weight, centre, out)
 print(*np.concatenate([n, e, 1e3 * out, said[:3], said[3]]).round(7) + 0.0)
-kernels.resample(n, e, out, 0.4, north, east)
+kernels.resample(n, e, out, 0.4, np.empty((4, 261), np.int32), north, east)
 print(*north.round(7), *east.round(7))
 """
 

@@ -7,7 +7,8 @@ INS error spreads them.
     w_i <- w_i p(y | x_i);   when 1 / sum(w^2) < share m: systematic resampling (Kitagawa, J. Comput. Graph. Stat. 5,
     1996) and roughening, a normal jitter per axis of sigma K E m^(-1/2), E the extent of the cloud (Gordon, K = 0.2)
 
-Resampling goes along strips on the ground (`kernels.neighbours`). The jitter is part of the next step's noise: one draw of normal numbers a step, whether there was a resampling or not.
+Resampling goes along strips on the ground (`kernels.neighbours`). The jitter is part of the next step's noise: one
+draw of normal numbers a step, whether there was a resampling or not.
 
 Random numbers are moment-matched: the initial cloud has exactly the prior's mean and covariance, and the noise of each
 step exactly its own and none in common with the cloud. Plain draws would do both only to 1/sqrt(m), which over many
@@ -28,6 +29,7 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
+from terranav.filters import _blocks
 from terranav.filters._maps import one_map_a_kind
 from terranav.filters._normals import drawn_key, standard_normal
 from terranav.kernels import particle as kernels
@@ -126,7 +128,8 @@ class Particle:
         """Spread the cloud by the INS's growth since the last epoch, weigh it by the readings, resample if need be."""
         key, offset = drawn_key(rng), float(rng.random())
         start_s = epoch.time_s if state.epoch is None else state.start_s
-        north, east = self._spread(state, epoch, start_s, key)
+        block = _blocks.empty((3, self.particles))
+        north, east = self._spread(state, epoch, start_s, key, block)
         weight, found, effective = state.weight, None, math.inf
         nis: list[float] = []
         known: list[float] = []
@@ -134,7 +137,7 @@ class Particle:
             for chart in self.maps:
                 if chart.kind == reading.kind:
                     told = self._told(state, epoch, chart, reading)
-                    out = np.empty(self.particles)
+                    out = _blocks.empty((self.particles,)) if known else block[2]
                     share, innovation2, effective, found = kernels.weigh_cloud(
                         chart.values, *told, north, east, weight, state.mean_m, out
                     )
@@ -174,9 +177,9 @@ class Particle:
         return Judge(converged_sigma_m=min(chart.cell_m for chart in self.maps) if limit is None else limit)
 
     def _spread(
-        self, state: ParticleState, epoch: Epoch, start_s: float, key: np.uint64
+        self, state: ParticleState, epoch: Epoch, start_s: float, key: np.uint64, out: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """The cloud after the growth of the INS error since the last epoch and the jitter that is due."""
+        """The cloud after the growth of the INS error since the last epoch and the jitter that is due; in `out`."""
         dt = 0.0 if state.epoch is None else epoch.time_s - state.epoch.time_s
         before = epoch.time_s - dt - start_s
         growth = [
@@ -185,10 +188,9 @@ class Particle:
         ]
         if max(growth) <= 0.0:
             return state.north_m, state.east_m
-        north, east = np.empty(self.particles), np.empty(self.particles)
-        variance = np.maximum(growth, 1e-12)
-        kernels.spread(state.north_m, state.east_m, state.weight, variance, state.mean_m, key, north, east)
-        return north, east
+        variance = np.array([max(one, 1e-12) for one in growth])
+        kernels.spread(state.north_m, state.east_m, state.weight, variance, state.mean_m, key, out[0], out[1])
+        return out[0], out[1]
 
     def _told(
         self, state: ParticleState, epoch: Epoch, chart: Map, reading: Measurement
@@ -205,11 +207,12 @@ class Particle:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Equal weights again; the jitter that tells copies apart comes with the next step."""
         count = self.particles
-        copies_n, copies_e = np.empty(count), np.empty(count)
-        kernels.resample(north, east, weight, offset, copies_n, copies_e)
-        least, greatest = np.array([extent(copies_n), extent(copies_e)]).T
-        jitter = self.roughening**2 * (greatest - least) ** 2 / count
-        return copies_n, copies_e, np.full(count, 1.0 / count), jitter
+        copies_n, copies_e, equal = _blocks.empty((3, count))
+        kernels.resample(north, east, weight, offset, _blocks.empty((4, count + 1), np.int32), copies_n, copies_e)
+        equal.fill(1.0 / count)
+        width = [greatest - least for least, greatest in (extent(copies_n), extent(copies_e))]
+        jitter = np.array([self.roughening**2 * one**2 / count for one in width])
+        return copies_n, copies_e, equal, jitter
 
 
 def _as_arrays(moments: Moments) -> tuple[FloatArray, FloatArray]:

@@ -63,7 +63,7 @@ def _starts(count):
 
 
 @jit
-def neighbours_together(north, east, weight, order):
+def neighbours_together(north, east, weight, scratch):
     """Strips of equal weight from south to north, along each to the east and along the next back to the west.
 
     Two sorts by counting, the second of which keeps the order of the first, on north and east rounded to LEVELS.
@@ -71,11 +71,12 @@ def neighbours_together(north, east, weight, order):
     Parameters
     ----------
     north, east, weight : (m,) float64, the weights sum to one
-    order : (m,) int32, written
+    scratch : (4, m + 1) int32, written
+        The first m of its first row are the particles' numbers in order.
     """
     m = weight.size
     strips = int(np.sqrt(m))  # as many as copies within each
-    strip, level, by_east = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m, np.int64)
+    strip, level, by_east = scratch[0, :m], scratch[1, :m], scratch[2:].reshape(2 * m + 2).view(np.int64)
     _strips(north, weight, strips, strip)
     scale, addend = _places(east)
     for k in range(m):
@@ -95,5 +96,5 @@ def neighbours_together(north, east, weight, order):
         in_level[a] += 1
     for k in range(m):
         s = np.uint64(by_east[k] >> 32)
-        order[np.uint64(in_strip[s])] = by_east[k] & 0xFFFFFFFF
+        strip[np.uint64(in_strip[s])] = by_east[k] & 0xFFFFFFFF
         in_strip[s] += 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terranav.kernels.fastmath import fast_exp
+from terranav.kernels.fastmath import fast_exp2
 from terranav.kernels.jit import jit
 from terranav.kernels.neighbours import neighbours_together
 from terranav.kernels.random import normal_pairs
@@ -16,7 +16,8 @@ from terranav.kernels.sampling import BLOCK, bilinear_block
 
 SUMS = {"contract", "reassoc"}  # NaN keeps its meaning
 
-LEAST_LOG = -600.0  # of a likelihood: times a weight it is still a normal number, where denormal ones take long
+LOG2_E = 1.4426950408889634
+LEAST_LOG2 = -865.0  # of a likelihood: times a weight it is still a normal number, where denormal ones take long
 LEAST_WEIGHT = 1e-40  # less is none
 LEAST_TOTAL = 1e-250  # less, and the reading contradicts every particle
 
@@ -148,7 +149,7 @@ def _cells(frame, north, east, row, col):
 @jit(fastmath=SUMS)
 def _weighed(height, north, east, weight, reading, outliers, cn, ce, out):
     """Weights times likelihoods, and sums over particles whose height is known; `out` is NaN where it is not."""
-    value, narrow = reading[0], -0.5 / (reading[1] * reading[1])
+    value, narrow = reading[0], -0.5 * LOG2_E / (reading[1] * reading[1])
     high, low, wide = 1.0 - outliers[0], outliers[0] / outliers[1], narrow / (outliers[1] * outliers[1])
     known, mean, square, voids = 0.0, 0.0, 0.0, 0.0
     total, sn, se, nn, ne, ee = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -162,8 +163,8 @@ def _weighed(height, north, east, weight, reading, outliers, cn, ce, out):
         mean += w * d
         square += w * d * d
         near, far = narrow * d * d, wide * d * d
-        near, far = near if near > LEAST_LOG else LEAST_LOG, far if far > LEAST_LOG else LEAST_LOG
-        p = w * (high * fast_exp(near) + low * fast_exp(far))
+        near, far = near if near > LEAST_LOG2 else LEAST_LOG2, far if far > LEAST_LOG2 else LEAST_LOG2
+        p = w * (high * fast_exp2(near) + low * fast_exp2(far))
         n, e = north[k] - cn, east[k] - ce
         total += p
         pn, pe = p * n, p * e
@@ -233,7 +234,7 @@ def weigh_cloud(values, frame, reading, outliers, north, east, weight, centre, o
     mean_and_cov : as `moments` returns them, under the new weights
 
     Particles where the map says nothing get the average likelihood of the others: a void neither attracts nor repels.
-    Likelihoods below e^-600 count as that. A reading that contradicts every particle says nothing about which is right.
+    Likelihoods below 2^-865 count as that. A reading that contradicts every particle says nothing about which is right.
     """
     cn, ce = centre[0], centre[1]
     row, col, height = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
@@ -276,7 +277,7 @@ def _first_places(weight, order, offset, begin, sum_before, slots):
 
 
 @jit
-def resample(north, east, weight, offset, out_north, out_east):
+def resample(north, east, weight, offset, scratch, out_north, out_east):
     """Systematic resampling along strips in which neighbours in the list are neighbours on the ground.
 
     Copy k is of the particle in whose share of the unit interval (k + offset) / m lies. Each particle writes its number
@@ -287,12 +288,14 @@ def resample(north, east, weight, offset, out_north, out_east):
     ----------
     north, east, weight : (m,) float64, the weights sum to one
     offset : float in [0, 1)
+    scratch : (4, m + 1) int32, written
     out_north, out_east : (m,) float64, written
         The copies, in the order of `neighbours_together`.
     """
     m = weight.size
-    order, slots = np.empty(m, np.int32), np.zeros(m + 1, np.int32)
-    neighbours_together(north, east, weight, order)
+    neighbours_together(north, east, weight, scratch)
+    order, slots = scratch[0, :m], scratch[1]
+    slots[:] = 0
     sum_before, latest = 0.0, np.int32(0)
     for begin in range(0, m, BLOCK):
         sum_before = _first_places(weight, order[begin : begin + BLOCK], offset, begin, sum_before, slots)
