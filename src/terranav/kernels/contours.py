@@ -81,18 +81,22 @@ def nearest_on_contour(values, row, col, level, metric, reach_m):
     # the smaller singular value of the metric: no cell is narrower
     a, b = metric[0, 0] ** 2 + metric[1, 0] ** 2, metric[0, 1] ** 2 + metric[1, 1] ** 2
     c = metric[0, 0] * metric[0, 1] + metric[1, 0] * metric[1, 1]
-    narrow = math.sqrt(max(0.5 * (a + b) - math.hypot(0.5 * (a - b), c), 1e-300))
+    narrow = math.sqrt(max(0.5 * (a + b) - math.sqrt(0.25 * (a - b) ** 2 + c * c), 1e-300))
     best, best_row, best_col = reach_m * reach_m, np.nan, np.nan
     if not (row > -rows and row < 2.0 * rows and col > -cols and col < 2.0 * cols):
         return np.nan, np.nan, np.nan
     i0, j0 = math.floor(row), math.floor(col)
     u, v = row - i0, col - j0
     margin = min(u, 1.0 - u, v, 1.0 - v)
+    wide2 = narrow * narrow
     for ring in range(int(reach_m / narrow) + 2):
-        away = narrow * (ring - 1 + margin)
-        if ring > 0 and away * away >= best:
+        away = ring - 1 + margin
+        if ring > 0 and wide2 * away * away >= best:
             break
         for i in range(max(i0 - ring, 0), min(i0 + ring, rows - 2) + 1):
+            across = max(i - row, row - i - 1.0, 0.0)  # rows to the nearest side of these squares
+            if wide2 * across * across >= best:
+                continue
             whole = i == i0 - ring or i == i0 + ring
             stride = 1 if whole or ring == 0 else 2 * ring
             for j in range(j0 - ring, j0 + ring + 1, stride):
@@ -143,10 +147,11 @@ def trace(p, first, steps, out):
     n, e = first[0] + p[0], first[1] + p[1]
     out[0, 0], out[0, 1] = n, e
     common = p.size == 4
+    c, s = 1.0, 0.0
     for i in range(steps.shape[0]):
-        k = 2 if common else 2 + 2 * i
-        scale, turn = 1.0 + p[k], p[k + 1]
-        c, s = scale * math.cos(turn), scale * math.sin(turn)
+        if i == 0 or not common:
+            scale, turn = 1.0 + p[2 + 2 * i], p[3 + 2 * i]
+            c, s = scale * math.cos(turn), scale * math.sin(turn)
         n += c * steps[i, 0] - s * steps[i, 1]
         e += s * steps[i, 0] + c * steps[i, 1]
         out[i + 1, 0], out[i + 1, 1] = n, e
@@ -186,11 +191,11 @@ def trace_cost(values, frame, level, first, steps, p, weight, reach_m, points):
         col = col6[0] + n * (col6[1] + n * col6[3] + e * col6[4]) + e * (col6[2] + e * col6[5])
         distance, _, _ = nearest_on_contour(values, row, col, level[i], metric, reach_m)
         of_contours += reach_m if np.isnan(distance) else distance
-    of_ins = 0.0
-    common = p.size == 4
+    of_ins, wrong = 0.0, 0.0
     for i in range(steps.shape[0]):
-        k = 2 if common else 2 + 2 * i
-        of_ins += math.hypot(steps[i, 0], steps[i, 1]) * math.hypot(p[k], p[k + 1])
+        if i == 0 or p.size > 4:
+            wrong = math.sqrt(p[2 + 2 * i] ** 2 + p[3 + 2 * i] ** 2)
+        of_ins += math.sqrt(steps[i, 0] ** 2 + steps[i, 1] ** 2) * wrong
     return of_contours + weight * of_ins, of_contours
 
 
