@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from terranav.core.judgement import HYSTERESIS
 from terranav.core.records import Status
 from terranav.integrity import recovery, words
 from terranav.integrity.protection import FAR, protection_level
 from terranav.integrity.state import Anchor, MonitorState, Verdict
 from terranav.integrity.windows import LENGTHS, contradiction, nis_limit
+from terranav.kernels import integrity as kernels
 
 if TYPE_CHECKING:
     from terranav.integrity.monitored import Monitored
@@ -163,17 +162,22 @@ def _left_out(state: MonitorState) -> tuple[str, ...]:
 
 def _mean_nis(state: MonitorState) -> float:
     """Mean NIS of the latest readings of all kinds that count."""
-    parts = [w.nis[-LENGTHS[1] :] for w in state.windows if len(w) and w.kind not in state.silent]
-    return float(np.concatenate(parts).mean()) if parts else math.nan
+    total, count, silent = 0.0, 0, state.silent
+    for window in state.windows:
+        readings = min(len(window), LENGTHS[1])
+        if readings and window.kind not in silent:
+            total += readings * window.mean_nis(readings)
+            count += readings
+    return total / count if count else math.nan
 
 
 def _scale(monitor: Monitored, state: MonitorState) -> float:
     """How many times larger the error may be than the covariance says: by NIS and correlation of the residuals."""
-    scale2 = 1.0
+    scale2, silent = 1.0, state.silent
     for window in state.windows:
-        if window.kind in state.silent or len(window) < LENGTHS[1]:
+        if window.kind in silent or len(window) < LENGTHS[1]:
             continue
-        mean = float(np.minimum(window.nis, CLIP).mean())
+        mean = kernels.clipped_mean(window.nis, CLIP)
         rho = min(window.alike.figure, 0.9) if window.alike is not None else 0.0
         scale2 = max(scale2, mean * (1.0 + rho) / (1.0 - rho))
     return math.sqrt(scale2)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.random import Generator
 
 from terranav.core.earth import shift
+from terranav.core.frozen import changed
 from terranav.core.judgement import largest_sigma_m
 from terranav.core.records import Prior
 from terranav.integrity import judging, recovery, rivals, words
@@ -45,7 +45,7 @@ AGREES = 1e-3  # probability that a kind that agrees again fails its test
 def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorState:
     """The state after what this epoch's readings call for."""
     if state.lost and state.off_map >= BLIND:
-        return replace(_searched(monitor, state, state.lost, 0, rng), off_map=1)
+        return changed(_searched(monitor, state, state.lost, 0, rng), off_map=1)
     if state.lost and state.off_map == 0 and state.since >= EDGE and state.since % EDGE == 0:
         state = _within_the_map(monitor, state, rng)
     if not any(one.known > 0.5 for one in state.innovations):
@@ -53,7 +53,7 @@ def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorSt
     state = _sensors_that_hang(monitor, state, rng)
     bad = {window.kind: window.bad for window in state.windows if window.bad and window.kind not in state.silent}
     if bool(bad) != (state.doubted >= 0):
-        state = replace(state, doubted=state.readings if bad else -1)
+        state = changed(state, doubted=state.readings if bad else -1)
     verdicts = {kind: _judged(monitor, state, kind, found) for kind, found in bad.items()}
     wrong = {kind: bad[kind] for kind, found in verdicts.items() if found == "wrong"}
     state = _factors(monitor, state, {kind for kind, found in verdicts.items() if found == "noisy"})
@@ -125,7 +125,7 @@ def _factors(monitor: Monitored, state: MonitorState, noisy: set[str]) -> Monito
     if all(new is old for new, old in zip(windows, state.windows, strict=True)):
         return state
     kept = tuple(sorted((kind, factor) for kind, factor in factors.items() if factor > 1.0))
-    return replace(state, windows=tuple(windows), factors=kept)
+    return changed(state, windows=tuple(windows), factors=kept)
 
 
 def _calm(nis: FloatArray) -> bool:
@@ -154,7 +154,7 @@ def _contradicted(monitor: Monitored, state: MonitorState, wrong: dict[str, Find
         return _searched(monitor, state, reason, readings, rng)
     strikes = sum(one.strikes + 1 for one in state.left_out if one.kind == worst)
     left = (*state.left_out, LeftOut(worst, reason, state.readings, strikes=strikes))
-    return _restarted(monitor, replace(state, left_out=left), readings, 0.0, rng)
+    return _restarted(monitor, changed(state, left_out=left), readings, 0.0, rng)
 
 
 def _searched(monitor: Monitored, state: MonitorState, reason: str, readings: int, rng: Generator) -> MonitorState:
@@ -167,7 +167,7 @@ def _searched(monitor: Monitored, state: MonitorState, reason: str, readings: in
     anchors = state.anchors if state.lost else recovery.before_trouble(state, readings)
     factor = 1.0 if state.anchors else recovery.noise_of(turn)  # sigmas that were good for a fix are good
     factors = tuple((window.kind, factor) for window in state.windows if window.seen) if factor > 1.0 else ()
-    lost = replace(
+    lost = changed(
         state, lost=state.lost or reason, attempt=attempt, left_out=left, fixed=False, anchors=anchors, factors=factors
     )
     return _restarted(monitor, lost, 0, spread, rng)
@@ -176,7 +176,7 @@ def _searched(monitor: Monitored, state: MonitorState, reason: str, readings: in
 def _restarted(monitor: Monitored, state: MonitorState, readings: int, spread_m: float, rng: Generator) -> MonitorState:
     """The estimator started anew around the last good estimate from before the latest `readings`."""
     if readings:
-        state = replace(state, anchors=recovery.before_trouble(state, readings))
+        state = changed(state, anchors=recovery.before_trouble(state, readings))
     return _anew(monitor, state, recovery.search_area(state, monitor.ins, spread_m), rng)
 
 
@@ -184,13 +184,13 @@ def _anew(monitor: Monitored, state: MonitorState, area: Prior, rng: Generator) 
     """The estimator started anew in an area, and nothing seen yet."""
     assert state.epoch is not None
     if state.lost:  # what was learned of the noise was learned in the wrong place
-        silence = replace(state.epoch, measurements=())
+        silence = changed(state.epoch, measurements=())
         inner = monitor.estimator.step(monitor.estimator.init(area, rng), silence, rng)
         inner = monitor.estimator.excluding(inner, state.silent)
     else:
         inner = monitor.estimator.restarted(monitor.estimator.excluding(state.inner, state.silent), area, rng)
     sigma = largest_sigma_m(area.cov_m2)
-    return replace(
+    return changed(
         state,
         inner=inner,
         windows=tuple(window.cleared() for window in state.windows),
@@ -218,7 +218,7 @@ def _sensors_that_hang(monitor: Monitored, state: MonitorState, rng: Generator) 
         return state
     rest = tuple(one for one in state.left_out if one.kind not in new)
     left = (*rest, *(LeftOut(kind, words.repeats(kind, times), state.readings, True) for kind, times in new.items()))
-    return _restarted(monitor, replace(state, left_out=left), max(new.values()), 0.0, rng)
+    return _restarted(monitor, changed(state, left_out=left), max(new.values()), 0.0, rng)
 
 
 def _moves(state: MonitorState, kind: str) -> bool:
@@ -232,14 +232,14 @@ def _readmitted(monitor: Monitored, state: MonitorState, kinds: set[str]) -> Mon
     left = tuple(one for one in state.left_out if one.kind not in kinds)
     windows = tuple(window.cleared() if window.kind in kinds else window for window in state.windows)
     inner = monitor.estimator.excluding(state.inner, frozenset(one.kind for one in left))
-    return replace(state, left_out=left, windows=windows, inner=inner)
+    return changed(state, left_out=left, windows=windows, inner=inner)
 
 
 def named(state: MonitorState, one: LeftOut) -> LeftOut:
     """A kind without which the position was found, and why it stays out."""
     window = next(window for window in state.windows if window.kind == one.kind)
     reason = words.contradicts(one.kind, window.bad) if window.bad else f"{one.kind} readings did not fit the others"
-    return replace(one, reason=reason, trial=False)
+    return changed(one, reason=reason, trial=False)
 
 
 def _taken_in(monitor: Monitored, state: MonitorState) -> MonitorState:

@@ -9,14 +9,15 @@ away and searched for around the last good one (`recovery`). Then follow status,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.random import Generator
 
 from terranav.core.checks import finite
 from terranav.core.errors import ConfigError
+from terranav.core.frozen import changed
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import HYSTERESIS, largest_sigma_m
 from terranav.core.protocols import Watched
@@ -83,18 +84,18 @@ class Monitored:
         if isinstance(self.probation, bool) or not isinstance(self.probation, int) or self.probation < 1:
             raise ConfigError(f"monitored probation is {self.probation!r}, expected a whole number of readings >= 1")
 
-    @property
+    @cached_property
     def maps(self) -> tuple[Map, ...]:
         """Of the estimator."""
         return tuple(getattr(self.estimator, "maps", ()))
 
-    @property
+    @cached_property
     def ins(self) -> InsGrade:
         """What the estimator is told of the INS."""
         grade: InsGrade = getattr(self.estimator, "ins", InsGrade())
         return grade
 
-    @property
+    @cached_property
     def converged_sigma_m(self) -> float:
         """Largest axis that counts as a fix: the estimator's own, or the finest map's cell [m]."""
         own = getattr(self.estimator, "converged_sigma_m", None)
@@ -113,16 +114,16 @@ class Monitored:
         readings = tuple(reading for reading in told.measurements if reading.kind in kinds)
         innovations = self.estimator.innovations(inner)
         start_s = epoch.time_s if state.epoch is None else state.start_s
-        after = replace(state, inner=inner, epoch=told, start_s=start_s, innovations=innovations)
+        after = changed(state, inner=inner, epoch=told, start_s=start_s, innovations=innovations)
         after = self._located(after, readings)
         after = self._weighed(_seen(self, after, readings), readings)
         after = _settled(self, mending.mended(self, after, rng))
-        return replace(after, verdict=judging.verdict(self, after), anchors=judging.anchors(self, after))
+        return changed(after, verdict=judging.verdict(self, after), anchors=judging.anchors(self, after))
 
     def estimate(self, state: MonitorState) -> Estimate:
         """The estimate with the monitor's verdict."""
         verdict = state.verdict
-        return replace(
+        return changed(
             self.estimator.estimate(state.inner),
             status=verdict.status,
             nis=verdict.nis,
@@ -141,7 +142,7 @@ class Monitored:
         sigma = largest_sigma_m(estimate.cov_m2)
         field = state.rivals
         if field is not None:
-            jump = float(np.hypot(*(estimate.ins_error_m - state.mean_m)))
+            jump = math.dist(estimate.ins_error_m.tolist(), state.mean_m.tolist())
             allowed = max(rivals.NEAR * field.spacing_m, 4.0 * state.sigma_m)
             if jump > allowed or sigma > HYSTERESIS * self.converged_sigma_m:
                 field = None
@@ -150,7 +151,7 @@ class Monitored:
             tail = tail_of(self.estimator.posterior(state.inner), estimate.ins_error_m, BUDGET * self.risk)
         elif readings:
             tail = Tail()
-        return replace(
+        return changed(
             state,
             mean_m=estimate.ins_error_m,
             sigma_m=sigma,
@@ -189,7 +190,7 @@ class Monitored:
                     budget=BUDGET * self.risk,
                 )
         near = judging.protection(self, state)
-        return replace(state, rivals=field, standing=rivals.standing(field, BUDGET * self.risk, near))
+        return changed(state, rivals=field, standing=rivals.standing(field, BUDGET * self.risk, near))
 
 
 def _seen(monitor: Monitored, state: MonitorState, readings: tuple[Measurement, ...]) -> MonitorState:
@@ -197,7 +198,7 @@ def _seen(monitor: Monitored, state: MonitorState, readings: tuple[Measurement, 
     pairs = list(zip(readings, state.innovations, strict=True))
     compared = [(reading, one) for reading, one in pairs if one.known > 0.5 and one.variance > 0.0]
     if not compared or state.epoch is None:
-        return replace(state, off_map=state.off_map + 1) if pairs else state
+        return changed(state, off_map=state.off_map + 1) if pairs else state
     now, typical = state.epoch.time_s, state.gap_s
     gap = now - state.last_s
     windows, silence = state.windows, state.silence_s
@@ -209,7 +210,7 @@ def _seen(monitor: Monitored, state: MonitorState, readings: tuple[Measurement, 
     for reading, one in compared:
         by_kind[one.kind] = by_kind[one.kind].plus(one, reading.value, state.epoch, state.mean_m, monitor.false_alarm)
     count = len(compared)
-    return replace(
+    return changed(
         state,
         windows=tuple(by_kind.values()),
         readings=state.readings + count,
@@ -227,8 +228,8 @@ def _with_factors(epoch: Epoch, state: MonitorState) -> Epoch:
         return epoch
     scaled: list[Measurement] = []
     for reading in epoch.measurements:
-        scaled.append(replace(reading, sigma=reading.sigma * state.factor(reading.kind)))
-    return replace(epoch, measurements=tuple(scaled))
+        scaled.append(changed(reading, sigma=reading.sigma * state.factor(reading.kind)))
+    return changed(epoch, measurements=tuple(scaled))
 
 
 def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
@@ -239,6 +240,6 @@ def _settled(monitor: Monitored, state: MonitorState) -> MonitorState:
         return state
     if state.lost and state.anchors and judging.complaints(monitor, state):
         return state  # sensors and map were good for a fix before: a place where they are not is not the right one
-    proved = None if state.rivals is None else replace(state.rivals, proved=True)
+    proved = None if state.rivals is None else changed(state.rivals, proved=True)
     found = tuple(mending.named(state, one) if one.trial else one for one in state.left_out)
-    return replace(state, fixed=True, lost="", attempt=0, rivals=proved, left_out=found, silence_s=0.0)
+    return changed(state, fixed=True, lost="", attempt=0, rivals=proved, left_out=found, silence_s=0.0)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from terranav.core.records import Epoch, Innovation
+from terranav.kernels import integrity as kernels
 
 FloatArray = NDArray[np.float64]
 
@@ -51,6 +52,8 @@ class Window:
     rows : (n, 8) float64, oldest first, n <= 60
         Residual, its variance, the part of that which is sensor and map, the reading [the kind's unit]; indicated
         latitude and longitude [deg]; estimated INS error, north and east [m].
+    nis : (n,)
+        Normalised innovations squared, capped.
     seen : bool
         Whether there ever was a reading of this kind.
     scale : float
@@ -61,6 +64,7 @@ class Window:
 
     kind: str
     rows: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
+    nis: FloatArray = field(default_factory=lambda: np.zeros(0))
     seen: bool = False
     scale: float = 1.0
     bad: Finding | None = None
@@ -75,24 +79,18 @@ class Window:
     ) -> Window:
         """The window with one more reading, tested."""
         told = (innovation.residual, innovation.variance, innovation.noise, value)
-        row = [[*told, epoch.lat_deg, epoch.lon_deg, float(centre_m[0]), float(centre_m[1])]]
-        rows = np.concatenate([self.rows[1 - LONGEST :], row])
-        nis = np.minimum(rows[:, RESIDUAL] ** 2 / rows[:, VARIANCE], CAP)
+        row = np.array((*told, epoch.lat_deg, epoch.lon_deg, *centre_m.tolist()))
+        rows, nis = kernels.appended(self.rows, row, LONGEST, CAP)
         tests = contradiction(nis, false_alarm), excess(nis, false_alarm), coloured(rows, false_alarm)
-        return Window(self.kind, rows, True, innovation.scale, *tests)
+        return Window(self.kind, rows, nis, True, innovation.scale, *tests)
 
     def cleared(self) -> Window:
         """Nothing seen yet."""
-        return Window(self.kind, self.rows[:0], self.seen, self.scale)
-
-    @property
-    def nis(self) -> FloatArray:
-        """(n,) normalised innovations squared, capped."""
-        return np.minimum(self.rows[:, RESIDUAL] ** 2 / self.rows[:, VARIANCE], CAP)
+        return Window(self.kind, self.rows[:0], self.nis[:0], self.seen, self.scale)
 
     def mean_nis(self, readings: int = 20) -> float:
         """Mean over the latest readings, NaN before any."""
-        return float(self.nis[-readings:].mean()) if len(self) else math.nan
+        return float(kernels.latest(self.nis, readings)[0])
 
 
 def contradiction(nis: FloatArray, false_alarm: float) -> Finding | None:
@@ -108,9 +106,8 @@ def contradiction(nis: FloatArray, false_alarm: float) -> Finding | None:
     for length in LENGTHS:
         if len(nis) < length:
             return None
-        latest = nis[-length:]
-        mean, limit = float(latest.mean()), nis_limit(length, false_alarm)
-        if mean > limit and int((latest > 4.0).sum()) >= count_limit(length, false_alarm):
+        (mean, far), limit = kernels.latest(nis, length), nis_limit(length, false_alarm)
+        if mean > limit and far >= count_limit(length, false_alarm):
             return Finding(length, mean, limit)
     return None
 
@@ -119,7 +116,7 @@ def excess(nis: FloatArray, false_alarm: float) -> Finding | None:
     """Whether the mean NIS of the whole window is beyond its chi-square limit, single gross errors counting little."""
     if len(nis) < LENGTHS[0]:
         return None
-    mean, limit = float(np.minimum(nis, CLIP).mean()), nis_limit(len(nis), false_alarm)
+    mean, limit = float(kernels.clipped_mean(nis, CLIP)), nis_limit(len(nis), false_alarm)
     return Finding(len(nis), mean, limit) if mean > limit else None
 
 
@@ -131,17 +128,12 @@ def coloured(rows: FloatArray, false_alarm: float) -> Finding | None:
     n = len(rows)
     if n < LONGEST:
         return None
-    z = rows[:, RESIDUAL] / np.sqrt(rows[:, VARIANCE])
-    z = np.minimum(np.maximum(z, -3.0), 3.0)
-    power = float(z @ z)
-    if power <= 0.0:
-        return None
-    rho = [float(z[lag:] @ z[:-lag]) / power for lag in range(1, LAGS + 1)]
+    rho = kernels.autocorrelation(rows, LAGS, 3.0).tolist()
     q = n * (n + 2) * sum(one**2 / (n - lag) for lag, one in enumerate(rho, 1))
     limit = float(_chi2_quantile(LAGS, false_alarm))
-    if q <= limit or rho[0] <= 0.0:
+    if not q > limit or rho[0] <= 0.0:  # NaN where all are zero
         return None
-    return Finding(n, float(rho[0]), math.sqrt(limit * (n - 1) / (n * (n + 2))))
+    return Finding(n, rho[0], math.sqrt(limit * (n - 1) / (n * (n + 2))))
 
 
 def stuck(window: Window) -> int:
@@ -149,6 +141,8 @@ def stuck(window: Window) -> int:
     if len(window) < STUCK:
         return 0
     values = window.rows[:, VALUE]
+    if values[-1] != values[-2]:
+        return 0
     differ = np.flatnonzero(values != values[-1])
     same = len(values) - (int(differ[-1]) + 1 if differ.size else 0)
     if same < STUCK:

@@ -214,3 +214,68 @@ def tail(north, east, weight, centre, outside):
         if reach == 0.0 and below >= 1.0 - outside:
             reach = edge
     return core, reach, far, sigma2
+
+
+@jit
+def latest(values, count):
+    """Of the latest values, at most `count`: their mean, NaN where there are none, and how many exceed 4."""
+    start = max(values.size - count, 0)
+    total, far = 0.0, 0
+    for k in range(start, values.size):
+        total += values[k]
+        far += 1 if values[k] > 4.0 else 0
+    return (total / (values.size - start) if values.size > 0 else np.nan), far
+
+
+@jit
+def clipped_mean(values, most):
+    """Mean of values of which none counts for more than `most`; there is at least one."""
+    total = 0.0
+    for k in range(values.size):
+        total += min(values[k], most)
+    return total / values.size
+
+
+@jit
+def appended(rows, row, most, cap):
+    """A window with one more reading, and its normalised innovations squared.
+
+    Parameters
+    ----------
+    rows : (n, k) float64, residual and its variance first
+    row : (k,) float64
+    most : int, how many rows are kept
+    cap : float, one NIS counts for no more
+
+    Returns
+    -------
+    rows : (min(n + 1, most), k), nis : as many
+    """
+    n, k = rows.shape
+    size = min(n + 1, most)
+    out, nis = np.empty((size, k)), np.empty(size)
+    for i in range(size - 1):
+        out[i] = rows[n - size + 1 + i]
+    out[size - 1] = row
+    for i in range(size):
+        nis[i] = min(out[i, 0] * out[i, 0] / out[i, 1], cap)
+    return out, nis
+
+
+@jit
+def autocorrelation(rows, lags, most):
+    """Correlation of the normalised residuals (rows[:, 0] over the root of rows[:, 1], clipped) at each lag from one.
+
+    NaN where all residuals are zero.
+    """
+    n = len(rows)
+    z, power = np.empty(n), 0.0
+    for i in range(n):
+        z[i] = min(max(rows[i, 0] / math.sqrt(rows[i, 1]), -most), most)
+        power += z[i] * z[i]
+    rho = np.zeros(lags)
+    for lag in range(1, lags + 1):
+        for i in range(lag, n):
+            rho[lag - 1] += z[i] * z[i - lag]
+        rho[lag - 1] = rho[lag - 1] / power if power > 0.0 else np.nan
+    return rho
