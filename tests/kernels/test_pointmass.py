@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from terranav.filters.pointmass import gaussian_taps
+from terranav.kernels.density import border, diffused, measured, support
 from terranav.kernels.lattice import bilinear_lattice
-from terranav.kernels.pointmass import advance, border, diffused, measured, support
+from terranav.kernels.pointmass import advance
 
 FloatArray = NDArray[np.float64]
 CELL = 40.0

@@ -21,8 +21,9 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._maps import one_map_a_kind
+from terranav.kernels.density import border, diffused, measured
 from terranav.kernels.grid import FLOOR, resample
-from terranav.kernels.pointmass import advance, border, diffused, measured
+from terranav.kernels.pointmass import advance
 from terranav.kernels.rows import half_taps
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
@@ -57,7 +58,7 @@ class Grid:
 
 
 class Summary(NamedTuple):
-    """What a density is like (`kernels.pointmass.summary`)."""
+    """What a density is like (`kernels.density.summary`)."""
 
     mean_n: float
     mean_e: float

@@ -15,6 +15,7 @@ import numpy as np
 from terranav.kernels.jit import jit
 
 SUMS = {"contract", "reassoc"}
+BLOCK = 4  # rows diffused at once
 FLOOR = 1e-300  # densities below are zero: denormals cost time and mean nothing
 
 
@@ -58,6 +59,37 @@ def _nine(flat, first, stride, taps, out, at, size):
         near = t0 * flat[k] + t1 * (flat[k - stride] + flat[k + stride]) + t2 * (flat[k - s2] + flat[k + s2])
         far = t3 * (flat[k - s3] + flat[k + s3]) + t4 * (flat[k - s4] + flat[k + s4])
         out[at + np.uint64(j)] = near + far
+
+
+@jit(fastmath=SUMS)
+def _three_of_four(flat, first, stride, taps, out, at, step, size):
+    """`_three` for four rows at once, of which each source row is fetched once."""
+    t0, t1, two, three, four = taps[0], taps[1], stride + stride, stride + stride + stride, np.uint64(4) * stride
+    for j in range(size):
+        k, to = first + np.uint64(j), at + np.uint64(j)
+        a, b, c, d = flat[k - stride], flat[k], flat[k + stride], flat[k + two]
+        e, f = flat[k + three], flat[k + four]
+        one, other = t0 * b + t1 * (a + c), t0 * c + t1 * (b + d)
+        third, last = t0 * d + t1 * (c + e), t0 * e + t1 * (d + f)
+        out[to], out[to + step], out[to + step + step], out[to + step + step + step] = one, other, third, last
+
+
+@jit(fastmath=SUMS)
+def _nine_of_four(flat, first, stride, taps, out, at, step, size):
+    """`_nine` for four rows at once: twelve rows are fetched instead of thirty-six."""
+    t0, t1, t2, t3, t4 = taps[0], taps[1], taps[2], taps[3], taps[4]
+    s2, s3, s4 = stride + stride, stride + stride + stride, np.uint64(4) * stride
+    s5, s6, s7 = s4 + stride, s4 + s2, s4 + s3
+    for j in range(size):
+        k, to = first + np.uint64(j), at + np.uint64(j)
+        a, b, c, d = flat[k - s4], flat[k - s3], flat[k - s2], flat[k - stride]
+        e, f, g, h = flat[k], flat[k + stride], flat[k + s2], flat[k + s3]
+        m, n, o, p = flat[k + s4], flat[k + s5], flat[k + s6], flat[k + s7]
+        one = t0 * e + t1 * (d + f) + t2 * (c + g) + t3 * (b + h) + t4 * (a + m)
+        other = t0 * f + t1 * (e + g) + t2 * (d + h) + t3 * (c + m) + t4 * (b + n)
+        third = t0 * g + t1 * (f + h) + t2 * (e + m) + t3 * (d + n) + t4 * (c + o)
+        last = t0 * h + t1 * (g + m) + t2 * (f + n) + t3 * (e + o) + t4 * (d + p)
+        out[to], out[to + step], out[to + step + step], out[to + step + step + step] = one, other, third, last
 
 
 @jit(fastmath=SUMS)
@@ -108,6 +140,25 @@ def blur_across(flat, rows, i, taps, out, at, size):
             _add(flat, np.uint64((i + k) * size), taps[abs(k)], out, np.uint64(at), size)
 
 
+@jit(forceinline=True)
+def blur_block(flat, rows, i, count, taps, out, at, step, size):
+    """Rows i .. i + count - 1 (at most BLOCK) as `blur_across` gives them, `step` apart in out[at:]."""
+    radius = taps.size - 1
+    if count == BLOCK and radius > 0 and i >= radius and i + count - 1 + radius < rows:
+        first, stride, to, apart = np.uint64(i * size), np.uint64(size), np.uint64(at), np.uint64(step)
+        if radius == 1:
+            _three_of_four(flat, first, stride, taps, out, to, apart, size)
+        else:
+            _nine_of_four(flat, first, stride, taps, out, to, apart, size)
+            for r in range(BLOCK):
+                for k in range(5, radius + 1, 4):
+                    row, target = np.uint64((i + r) * size), np.uint64(at + r * step)
+                    _four_more(flat, row, stride, taps, k, out, target, size)
+    else:
+        for r in range(count):
+            blur_across(flat, rows, i + r, taps, out, at + r * step, size)
+
+
 @jit(fastmath=SUMS)
 def total_of(flat, first, size):
     """Sum of flat[first : first + size]; NaN where one of them is."""
@@ -118,14 +169,11 @@ def total_of(flat, first, size):
 
 
 @jit(fastmath=SUMS)
-def copy_padded(row, out, first):
-    """Copy a row to out[first + 1:] with its end cells once more on either side; whether it has a void."""
-    total, at = 0.0, np.uint64(first + 1)
-    for j in range(row.size):
-        total += row[j]
-        out[at + np.uint64(j)] = row[j]
-    out[first], out[first + 1 + row.size] = row[0], row[row.size - 1]
-    return np.isnan(total)
+def copy_row(flat, first, out, at, size):
+    """Copy cells from one array to another."""
+    here, to = np.uint64(first), np.uint64(at)
+    for j in range(size):
+        out[to + np.uint64(j)] = flat[here + np.uint64(j)]
 
 
 @jit(fastmath=SUMS)
@@ -145,12 +193,13 @@ def measure_row(flat, first, before, east, cols_mass):
     mass, moment, power, step_n, step_e, last = 0.0, 0.0, 0.0, 0.0, 0.0, flat[first]
     here, below = np.uint64(first), np.uint64(before)
     for j in range(east.size):
-        p = flat[here + np.uint64(j)]
+        k = np.uint64(j)
+        p = flat[here + k]
         mass += p
         moment += p * east[j]
         cols_mass[j] += p
         power += p * p
-        north, along = p - flat[below + np.uint64(j)], p - last
+        north, along = p - flat[below + k], p - last
         step_n += north * north
         step_e += along * along
         last = p
