@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 
-from terranav.kernels import lattice, sampling
+from terranav.kernels import sampling
 
 KERNELS = {"bilinear": sampling.bilinear, "bicubic": sampling.bicubic}
 ROWS, COLS = 9, 12
@@ -118,35 +118,6 @@ def test_a_long_cloud_is_its_points(method: str, shape: tuple[int, int]) -> None
     assert 0 < np.isnan(expected).sum() < row.size
     np.testing.assert_allclose(at(method, values, row, col), expected, rtol=1e-12, atol=1e-9)
     assert at(method, values, [], []).size == 0
-
-
-def frame(r: tuple[float, ...], c: tuple[float, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return np.array(r), np.array(c)
-
-
-@pytest.mark.parametrize(
-    ("row6", "col6"),
-    [
-        frame((40.0, -0.01, 0.0, 1e-9, 0.0, 0.0), (50.0, 0.0, 0.013, 0.0, 2e-8, 0.0)),  # rows run east
-        frame((40.0, -0.01, 0.004, 1e-8, -2e-8, 3e-7), (50.0, 0.003, 0.013, 5e-8, 2e-8, -3e-7)),  # turned and bent
-        frame((5.0, -0.01, 0.004, 1e-8, -2e-8, 3e-8), (90.0, 0.003, 0.013, 5e-8, 2e-8, -3e-8)),  # half off the map
-        frame((-500.0, -0.01, 0.0, 0.0, 0.0, 0.0), (50.0, 0.0, 0.013, 0.0, 0.0, 0.0)),  # off the map
-        frame((0.0, -0.01, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.01, 0.0, 0.0, 0.0)),  # on the cells, from the corner
-    ],
-)
-@pytest.mark.parametrize("voids", [False, True])
-def test_a_lattice_is_its_points(row6: NDArray[np.float64], col6: NDArray[np.float64], voids: bool) -> None:
-    values = np.random.default_rng(2).normal(size=(80, 100)).astype(np.float32)
-    if voids:
-        values[35:45, 48:60] = np.nan
-    north, east = np.arange(-1000.0, 1001.0, 50.0), np.arange(-1500.0, 1501.0, 50.0)
-    out = np.empty((north.size, east.size))
-    lattice.bilinear_lattice(values, row6, col6, north, east, out)
-    n, e = north[:, None], east[None]
-    terms = np.stack(np.broadcast_arrays(1.0, n, e, n * n, n * e, e * e))
-    expected = at("bilinear", values, np.tensordot(row6, terms, 1), np.tensordot(col6, terms, 1))
-    np.testing.assert_array_equal(np.isnan(out), np.isnan(expected))
-    np.testing.assert_allclose(out, expected, atol=1e-9)
 
 
 SCRIPT = """

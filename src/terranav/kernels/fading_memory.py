@@ -9,15 +9,39 @@ import numpy as np
 from terranav.kernels.jit import jit
 from terranav.kernels.lattice import bilinear_lattice
 
+LINES = 8  # of the lattice, sampled at a time
 FINEST = 16  # parts per axis into which a cell is cut at most
 MOST_PARTS = 400_000  # of all cells that are cut
 
 
+@jit(fastmath={"contract"})  # a product and a sum in one operation; NaN passes through it like any other
+def fade(field, value, weight, alpha, before, after):
+    """One reading into the surface: after = alpha * before + weight * (value - field)^2.
+
+    Parameters
+    ----------
+    field : (n,) float64 or longer
+        The map at the place of each cell, NaN where it has no value: such a cell only fades.
+    value, weight, alpha : float
+    before, after : (n,) float64, after is written
+
+    Returns
+    -------
+    int
+        Cells without a map value.
+    """
+    unknown = 0
+    for j in range(after.size):
+        e = value - field[j]
+        known = e == e
+        after[j] = alpha * before[j] + (weight * (e * e) if known else 0.0)
+        unknown += 0 if known else 1
+    return unknown
+
+
 @jit
 def recall(values, frame, lattice, reading, alpha, before, after):
-    """One reading into the surface: after = alpha * before + weight * (value - map)^2.
-
-    A cell whose place has no map value only fades.
+    """One reading into the surface, from the map: `fade` with the map under each position error.
 
     Parameters
     ----------
@@ -35,18 +59,14 @@ def recall(values, frame, lattice, reading, alpha, before, after):
     int
         Cells without a map value.
     """
-    value, weight = reading
-    place_north, place_east = -lattice[0], -lattice[1]
-    field = np.empty((1, place_east.size))  # one row: it stays in the cache
-    unknown = 0
-    for i in range(place_north.size):
-        bilinear_lattice(values, frame[0], frame[1], place_north[i : i + 1], place_east, field)
-        line, old, new = field[0], before[i], after[i]
-        for j in range(line.size):
-            e = value - line[j]
-            known = e == e
-            new[j] = alpha * old[j] + (weight * e * e if known else 0.0)
-            unknown += 0 if known else 1
+    north, east, (value, weight), unknown = -lattice[0], -lattice[1], reading, 0
+    field = np.empty((LINES, east.size))  # a few lines at a time: they stay in the near cache
+    flat, old, new = field.reshape(field.size), before.reshape(before.size), after.reshape(after.size)
+    for start in range(0, north.size, LINES):
+        stop = min(start + LINES, north.size)
+        bilinear_lattice(values, frame[0], frame[1], north[start:stop], east, field[: stop - start])
+        part = slice(start * east.size, stop * east.size)
+        unknown += fade(flat, value, weight, alpha, old[part], new[part])
     return unknown
 
 
