@@ -238,7 +238,7 @@ def weigh_cloud(values, frame, reading, outliers, north, east, weight, centre, o
     """
     cn, ce = centre[0], centre[1]
     row, col, height = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    at, corners = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32)
+    at, corners = np.empty(BLOCK, np.uint64), np.empty(4 * BLOCK, np.float32)
     sums = np.zeros(10)
     for begin in range(0, out.size, BLOCK):
         part = slice(begin, min(begin + BLOCK, out.size))

@@ -75,13 +75,13 @@ def _fetch_square(flat, cols, at, corners):
     right, down, across = np.uint64(1), np.uint64(cols), np.uint64(cols + 1)
     for k in range(at.size):
         first = at[k]
-        corners[0, k], corners[1, k] = flat[first], flat[first + right]
-        corners[2, k], corners[3, k] = flat[first + down], flat[first + across]
+        corners[4 * k], corners[4 * k + 1] = flat[first], flat[first + right]
+        corners[4 * k + 2], corners[4 * k + 3] = flat[first + down], flat[first + across]
 
 
 @jit
 def bilinear_block(values, row, col, at, corners, out):
-    """`bilinear` at up to BLOCK positions, with scratch of the caller's: (BLOCK,) uint64 and (4, BLOCK) float32."""
+    """`bilinear` at up to BLOCK positions, with scratch of the caller's: (BLOCK,) uint64 and (4 BLOCK,) float32."""
     rows, cols = values.shape
     n, last_row, last_col = out.size, rows - 2.0, cols - 2.0
     _first_cells(row, col, 0.0, last_row, last_col, np.float64(cols), at[:n])
@@ -90,9 +90,9 @@ def bilinear_block(values, row, col, at, corners, out):
         r, c = row[k], col[k]
         inside = (r >= 0.0) & (r <= last_row + 1.0) & (c >= 0.0) & (c <= last_col + 1.0)
         u, v = r - min(np.floor(r), last_row), c - min(np.floor(c), last_col)
-        north, south = np.float64(corners[0, k]), np.float64(corners[2, k])
-        north += v * (corners[1, k] - north)
-        south += v * (corners[3, k] - south)
+        north, south = np.float64(corners[4 * k]), np.float64(corners[4 * k + 2])
+        north += v * (corners[4 * k + 1] - north)
+        south += v * (corners[4 * k + 3] - south)
         out[k] = north + u * (south - north) if inside else np.nan
     if _any_nan(out):
         for k in range(n):
@@ -110,7 +110,7 @@ def bilinear(values, row, col, out):
     row, col : (n,) float64 [cells]
     out : (n,) float64, written
     """
-    at, corners = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32)
+    at, corners = np.empty(BLOCK, np.uint64), np.empty(4 * BLOCK, np.float32)
     for begin in range(0, out.size, BLOCK):
         part = slice(begin, min(begin + BLOCK, out.size))
         bilinear_block(values, row[part], col[part], at, corners, out[part])
@@ -179,7 +179,7 @@ def _blend_rows(flat, cols, at, by_row, blend):
         a, b, c, d = by_row[0, k], by_row[1, k], by_row[2, k], by_row[3, k]
         for j in range(4):
             e = np.uint64(j)
-            blend[k, j] = a * flat[first + e] + b * flat[second + e] + (c * flat[third + e] + d * flat[fourth + e])
+            blend[4 * k + j] = a * flat[first + e] + b * flat[second + e] + (c * flat[third + e] + d * flat[fourth + e])
 
 
 @jit
@@ -198,7 +198,7 @@ def bicubic(values, row, col, out):
             out[k] = bicubic_at(values, row[k], col[k])
         return
     flat, last_row, last_col = values.reshape(values.size), rows - 3.0, cols - 3.0
-    at, by_row, blend = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK)), np.empty((BLOCK, 4))
+    at, by_row, blend = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK)), np.empty(4 * BLOCK)
     before = np.uint64(cols + 1)  # from the first cell around a position back to the first that has a weight
     for begin in range(0, out.size, BLOCK):
         part = slice(begin, min(begin + BLOCK, out.size))
@@ -211,7 +211,7 @@ def bicubic(values, row, col, out):
         for k in range(r.size):
             inside = (r[k] >= 1.0) & (r[k] < last_row + 1.0) & (c[k] >= 1.0) & (c[k] < last_col + 1.0)
             p, q, s, t = _catmull_rom(c[k] - np.floor(c[k]))
-            total = p * blend[k, 0] + q * blend[k, 1] + (s * blend[k, 2] + t * blend[k, 3])
+            total = p * blend[4 * k] + q * blend[4 * k + 1] + (s * blend[4 * k + 2] + t * blend[4 * k + 3])
             value[k] = total if inside else np.nan
         if _any_nan(value):
             for k in range(r.size):
