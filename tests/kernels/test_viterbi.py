@@ -145,7 +145,7 @@ def row_of(noise: int, v: FloatArray, sigma: float, half: float) -> FloatArray:
     line, none, out = np.zeros(v.size + 2), np.zeros(v.size), np.empty(v.size)
     line[1:-1] = -v
     told = (0.0, sigma * sigma, 1.0, 0.0)
-    noises.log_probabilities(line, none, none, told, noise, (half, *settings(noise)), out)
+    noises.log_probabilities(line, none, none, told, noise, (half, *settings(noise)), np.empty((3, v.size)), out)
     return out
 
 

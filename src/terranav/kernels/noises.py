@@ -58,100 +58,93 @@ def _scaled_erfc(q):
     return q * (even + t * odd)
 
 
-@jit(forceinline=True, fastmath={"contract"})
-def _cell(west, east, south, north, here, value, variance, per_row, share):
-    """Residual and its variance at one cell, and whether the map says something; a difference with a void is none."""
-    v, across, along = value - here, 0.5 * (east - west), per_row * (north - south)
-    slope2 = (across * across if across == across else 0.0) + (along * along if along == along else 0.0)
-    return v if v == v else 0.0, variance + share * slope2, v == v
+@jit
+def _residuals(line, south, north, told, residual, variance):
+    """Reading less map, NaN where it says nothing, and the variance of that; a difference with a void is none."""
+    value, least, per_row, share = told
+    here, east = line[1 : 1 + residual.size], line[2 : 2 + residual.size]
+    for j in range(residual.size):
+        across, along = 0.5 * (east[j] - line[j]), per_row * (north[j] - south[j])
+        slope2 = (across * across if across == across else 0.0) + (along * along if along == along else 0.0)
+        residual[j] = value - here[j]
+        variance[j] = least + share * slope2
 
 
 @jit(fastmath={"contract"})
-def _integral(line, south, north, told, half_width, out):
+def _integral(residual, variance, half_width, rest, out):
     """ln of the probability within +-half_width of the residual (papers/000 eq. 6), near and far into the tail.
 
     With a, b = (|v| -+ half_width) / (sqrt(2) sigma): b^2 - a^2 = 2 |v| half_width / sigma^2, and the probability is
     exp(-a^2) (E(a) - exp(a^2 - b^2) E(b)) / 2, E(x) = exp(x^2) erfc(x). One division serves three. A loop for each
     part, for together they have more constants than there are registers.
     """
-    value, variance, per_row, share = told
-    here, east = line[1 : 1 + out.size], line[2 : 2 + out.size]
-    first, second, third = np.empty(out.size), np.empty(out.size), np.empty(out.size)
-    for j in range(out.size):
-        v, s2, solid = _cell(line[j], east[j], south[j], north[j], here[j], value, variance, per_row, share)
-        first[j] = _SQRT_HALF * abs(v) if solid else np.nan
-        second[j] = s2
     half = _SQRT_HALF * half_width
     for j in range(out.size):
-        v, s2 = first[j], second[j]
+        v, s2 = _SQRT_HALF * abs(residual[j]), variance[j]
         s = math.sqrt(s2)
         near, far = v - half, v + half
         one, other = near + _SHIFT * s, far + _SHIFT * s
         both = one * other
         once = 1.0 / (both * s2)
         per_variance, once = once * both, once * s2 * s
-        first[j], second[j] = other * once, one * once
-        third[j], out[j] = -4.0 * v * half * per_variance, near * near * per_variance
+        residual[j], variance[j] = other * once, one * once
+        rest[j], out[j] = -4.0 * v * half * per_variance, near * near * per_variance
     for j in range(out.size):
-        first[j] = _scaled_erfc(first[j])
+        residual[j] = _scaled_erfc(residual[j])
     for j in range(out.size):
-        second[j] = _scaled_erfc(second[j])
+        variance[j] = _scaled_erfc(variance[j])
     for j in range(out.size):
-        p = 0.5 * (first[j] - fast_exp(third[j]) * second[j])
-        log_p = fast_log(p) - out[j]
-        out[j] = log_p if p == p else np.nan
+        residual[j] = 0.5 * (residual[j] - fast_exp(rest[j]) * variance[j])
+    for j in range(out.size):
+        out[j] = fast_log(residual[j]) - out[j]
 
 
 @jit(fastmath={"contract"})
-def _gaussian(line, south, north, told, out):
-    value, variance, per_row, share = told
-    here, east = line[1 : 1 + out.size], line[2 : 2 + out.size]
+def _gaussian(residual, variance, out):
     for j in range(out.size):
-        v, s2, solid = _cell(line[j], east[j], south[j], north[j], here[j], value, variance, per_row, share)
-        log_p = -0.5 * (v * v / s2 + fast_log(s2))
-        out[j] = log_p if solid else np.nan
+        v, s2 = residual[j], variance[j]
+        out[j] = -0.5 * (v * v / s2 + fast_log(s2))
 
 
 @jit(fastmath={"contract"})
-def _laplace(line, south, north, told, out):
-    value, variance, per_row, share = told
-    here, east = line[1 : 1 + out.size], line[2 : 2 + out.size]
+def _laplace(residual, variance, out):
     for j in range(out.size):
-        v, s2, solid = _cell(line[j], east[j], south[j], north[j], here[j], value, variance, per_row, share)
-        log_p = -math.sqrt(2.0 * v * v / s2) - 0.5 * fast_log(s2)
-        out[j] = log_p if solid else np.nan
+        v, s2 = residual[j], variance[j]
+        out[j] = -math.sqrt(2.0 * v * v / s2) - 0.5 * fast_log(s2)
 
 
 @jit(fastmath={"contract"})
-def _student_t(line, south, north, told, degrees, out):
-    value, variance, per_row, share = told
-    here, east = line[1 : 1 + out.size], line[2 : 2 + out.size]
+def _student_t(residual, variance, degrees, out):
     for j in range(out.size):
-        v, s2, solid = _cell(line[j], east[j], south[j], north[j], here[j], value, variance, per_row, share)
-        x = v * v / (s2 * (degrees - 2.0))
+        v, s2 = residual[j], variance[j]
+        residual[j] = v * v / (s2 * (degrees - 2.0))
+    for j in range(out.size):
+        x = residual[j]
         y = 1.0 + x
-        log1p = fast_log(y) + (x - (y - 1.0)) / y  # what the sum lost
-        log_p = -0.5 * ((degrees + 1.0) * log1p + fast_log(s2))
-        out[j] = log_p if solid else np.nan
+        out[j] = fast_log(y) + (x - (y - 1.0)) / y  # what the sum lost
+    for j in range(out.size):
+        out[j] = -0.5 * ((degrees + 1.0) * out[j] + fast_log(variance[j]))
 
 
 @jit(fastmath={"contract"})
-def _mixture(line, south, north, told, outlier_share, scale, out):
+def _mixture(residual, variance, outlier_share, scale, out):
     log_good, log_bad = math.log1p(-outlier_share), math.log(outlier_share / scale)
     narrower = 1.0 / (scale * scale)
-    value, variance, per_row, share = told
-    here, east = line[1 : 1 + out.size], line[2 : 2 + out.size]
     for j in range(out.size):
-        v, s2, solid = _cell(line[j], east[j], south[j], north[j], here[j], value, variance, per_row, share)
+        v, s2 = residual[j], variance[j]
         square = 0.5 * v * v / s2
         good, bad = log_good - square, log_bad - narrower * square
-        top = max(good, bad)
-        log_p = top + fast_log(1.0 + fast_exp(min(good, bad) - top)) - 0.5 * fast_log(s2)
-        out[j] = log_p if solid else np.nan
+        out[j], residual[j] = max(good, bad), -abs(good - bad)
+    for j in range(out.size):
+        residual[j] = 1.0 + fast_exp(residual[j])
+    for j in range(out.size):
+        out[j] += fast_log(residual[j])
+    for j in range(out.size):
+        out[j] -= 0.5 * fast_log(variance[j])
 
 
 @jit
-def log_probabilities(line, south, north, told, noise, settings, out):
+def log_probabilities(line, south, north, told, noise, settings, work, out):
     """Logarithms of the probability of a reading at each cell of a row, up to a constant that all cells share.
 
     Parameters
@@ -167,16 +160,19 @@ def log_probabilities(line, south, north, told, noise, settings, out):
         INTEGRAL: half the width of the interval of papers/000 eq. 6, at most the sigma; the logarithm errs by 2e-14
         sigma / half_width, that of all others by 1e-14, relative to the larger of 1 and itself. STUDENT_T: degrees of
         freedom, > 2. MIXTURE: share of outliers, how many times noisier they are.
+    work : (3, cols) room
     out : (cols,) written, NaN where the map says nothing
     """
     half_width, first, second = settings
+    residual, variance = work[0], work[1]
+    _residuals(line, south, north, told, residual, variance)
     if noise == INTEGRAL:
-        _integral(line, south, north, told, half_width, out)
+        _integral(residual, variance, half_width, work[2], out)
     elif noise == LAPLACE:
-        _laplace(line, south, north, told, out)
+        _laplace(residual, variance, out)
     elif noise == STUDENT_T:
-        _student_t(line, south, north, told, first, out)
+        _student_t(residual, variance, first, out)
     elif noise == MIXTURE and first > 0.0:
-        _mixture(line, south, north, told, first, second, out)
+        _mixture(residual, variance, first, second, out)
     else:
-        _gaussian(line, south, north, told, out)
+        _gaussian(residual, variance, out)

@@ -14,7 +14,7 @@ from terranav.kernels.jit import jit
 from terranav.kernels.noises import log_probabilities
 
 STAY = 4
-FLOOR = 1e-290  # probabilities below are zero: denormals cost time and mean nothing
+FLOOR, SCALE = 1e-290, 1e290  # probabilities below are zero: denormals cost time and mean nothing
 _DEEP = -650.0  # a likelihood is never taken for less than e to this, relative to the best
 
 
@@ -142,8 +142,7 @@ def weigh(score, probability, field, model, new_score, new_probability):
         for j in range(s.size):
             s[j] -= best
         for j in range(p.size):
-            q = norm * p[j]
-            p[j] = q if q > FLOOR else 0.0
+            p[j] *= norm
     mean /= known
     return known, mean, max(square / known - mean * mean, 0.0), best
 
@@ -158,13 +157,13 @@ def _weighed(score, probability, field, model, new_score, new_weight):
     value, sigma, cell_share, noise, first, second = model
     rows, cols = field.shape
     line, tops, bests = np.empty(cols + 2), np.full(cols, -np.inf), np.full(cols, -np.inf)
-    known, mean, square, solid = 0.0, 0.0, 0.0, 0
+    known, mean, square, solid, work = 0.0, 0.0, 0.0, 0, np.empty((3, cols))
     for i in range(rows):
         weight = new_weight[i]
         _extended(field[i], line)
         below, above = max(i - 1, 0), min(i + 1, rows - 1)
         told = (value, sigma * sigma, 1.0 / max(above - below, 1), cell_share)
-        log_probabilities(line, field[below], field[above], told, noise, (sigma, first, second), weight)
+        log_probabilities(line, field[below], field[above], told, noise, (sigma, first, second), work, weight)
         p, m, s, n = _sums(probability[i], field[i], weight, value, tops)
         known, mean, square, solid = known + p, mean + m, square + s, solid + n
         _add(score[i], weight, new_score[i], bests)
@@ -222,7 +221,8 @@ def _likelihoods(prior, top, weight):
     total = 0.0
     for j in range(weight.size):
         w = weight[j]
-        q = prior[j] * fast_exp(min(max(w - top, _DEEP), 0.0))
+        q = (SCALE * prior[j]) * fast_exp(min(max(w - top, _DEEP), 0.0))
+        q = FLOOR * (q if q > 1.0 else 0.0)  # scaled, so that no denormal number ever comes up
         weight[j] = q if w == w else np.nan
         total += q if w == w else 0.0
     return total
@@ -236,7 +236,8 @@ def _fill(score, probability, average, weight, new_score, new_probability):
         for j in range(score.shape[1]):
             if np.isnan(new_probability[i, j]):
                 new_score[i, j] = score[i, j] + weight
-                new_probability[i, j] = probability[i, j] * average
+                p = SCALE * probability[i, j] * average
+                new_probability[i, j] = FLOOR * p if p > 1.0 else 0.0
                 best = max(best, new_score[i, j])
     return best
 
