@@ -14,7 +14,7 @@ import numpy as np
 
 from terranav.kernels.jit import jit
 
-BLOCK = 256  # pairs whose bits wait in the nearest cache
+BLOCK = 1024  # pairs whose bits wait in the nearest cache
 
 _MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
