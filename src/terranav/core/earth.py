@@ -62,11 +62,14 @@ def offset_of(from_lat_deg: float, from_lon_deg: float, to_lat_deg: float, to_lo
 
 def shifted(lat_deg: float, lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
     """`shift` of a single position, for the path of every epoch [deg]."""
-    dlat = north_m / _metres_per_degree(lat_deg)[0]
-    for _ in range(3):
-        dlat = north_m / _metres_per_degree(lat_deg + 0.5 * dlat)[0]
-    per_lon = _metres_per_degree(lat_deg + 0.5 * dlat)[1]
-    return lat_deg + dlat, (lon_deg + east_m / per_lon + 180.0) % 360.0 - 180.0
+    start, dlat, scaled = math.radians(lat_deg), 0.0, north_m / (SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQ))
+    for _ in range(4):
+        w2 = 1.0 - ECCENTRICITY_SQ * math.sin(start + 0.5 * dlat) ** 2
+        dlat = scaled * w2 * math.sqrt(w2)
+    middle = start + 0.5 * dlat
+    w = math.sqrt(1.0 - ECCENTRICITY_SQ * math.sin(middle) ** 2)
+    dlon = math.degrees(east_m * w / (SEMI_MAJOR_M * math.cos(middle)))
+    return lat_deg + math.degrees(dlat), (lon_deg + dlon + 180.0) % 360.0 - 180.0
 
 
 def offset_m(

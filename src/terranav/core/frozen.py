@@ -19,12 +19,14 @@ def changed(record: T, **fields: Any) -> T:
         Names as in the record; another name is a TypeError.
     """
     new = object.__new__(type(record))
-    names = record.__slots__  # type: ignore[attr-defined]
-    for name in names:
+    known = 0
+    for name in record.__slots__:  # type: ignore[attr-defined]
         if name in fields:
-            _set(new, name, fields.pop(name))
+            _set(new, name, fields[name])
+            known += 1
         else:
             _set(new, name, getattr(record, name))
-    if fields:
-        raise TypeError(f"{type(record).__name__} has no {', '.join(fields)}")
+    if known < len(fields):
+        unknown = set(fields).difference(record.__slots__)  # type: ignore[attr-defined]
+        raise TypeError(f"{type(record).__name__} has no {', '.join(sorted(unknown))}")
     return new

@@ -35,6 +35,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -173,11 +174,12 @@ class Marginalized:
         """Let the time since the last epoch pass, then use the readings one by one."""
         state = self._begun(state, epoch, rng) if state.cloud is None else self._passed(state, epoch)
         pairs = [(reading, number) for reading in epoch.measurements if (number := self._number(reading.kind)) >= 0]
-        if pairs:
-            state = self._advanced(state, epoch, rng)
         innovations: list[Innovation] = []
-        for reading, number in pairs:
-            state, innovation = self._updated(state, epoch, number, reading, rng)
+        cloud = self._advanced(state, epoch, rng) if pairs else None
+        for pair in pairs:
+            assert cloud is not None
+            state, innovation = self._updated(state, cloud, epoch, pair, rng)
+            cloud = state.cloud
             innovations.append(innovation)
         compared = [one for one in innovations if one.known > 0.5]
         nis = [one.nis for one in compared if one.used]
@@ -287,7 +289,7 @@ class Marginalized:
         mean, cov, unaided = predicted(passed.phi, passed.q, state.mean, state.cov, state.unaided)
         return changed(state, epoch=epoch, pending=pending, mean=mean, cov=cov, unaided=unaided, walk=walk)
 
-    def _advanced(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> MarginalizedState:
+    def _advanced(self, state: MarginalizedState, epoch: Epoch, rng: Generator) -> Cloud:
         """The cloud at an epoch with readings, all of its arrays new: what is pending drawn, regimes carried on."""
         cloud, last = state.cloud, state.last_reading
         assert cloud is not None  # set by _begun()
@@ -295,16 +297,20 @@ class Marginalized:
         if last is not None:  # over the ground in between
             travelled = math.hypot(*offset_of(last.lat_deg, last.lon_deg, epoch.lat_deg, epoch.lon_deg))
             keep = np.array([math.exp(-travelled / (BAD_PATCH * chart.error_length_m)) for chart in self.maps])
-        if state.pending is not None:
-            cloud = advanced(cloud, state.pending, self.outlier_share, keep, rng)
-        return changed(state, cloud=cloud, pending=None, last_reading=epoch)
+        if state.pending is None:  # drawn at this very epoch
+            return cloud
+        return advanced(cloud, state.pending, self.outlier_share, keep, rng)
 
     def _updated(
-        self, state: MarginalizedState, epoch: Epoch, number: int, reading: Measurement, rng: Generator
+        self, state: MarginalizedState, cloud: Cloud, epoch: Epoch, pair: tuple[Measurement, int], rng: Generator
     ) -> tuple[MarginalizedState, Innovation]:
-        """The state after one reading, and what the reading was against its prediction."""
-        cloud, model, chart = state.cloud, state.model, self.maps[number]
-        assert cloud is not None and model is not None  # noqa: PT018  set by _begun()
+        """The state after a reading of a map, given by number, and what it was against its prediction.
+
+        `cloud` is that of this epoch, its arrays not yet anyone's.
+        """
+        (reading, number), model = pair, state.model
+        chart = self.maps[number]
+        assert model is not None  # set by _begun()
         blur2 = (self.blur_cells * chart.cell_m) ** 2
         reach = self.outlier_scale * math.hypot(reading.sigma, chart.sigma)
         seen = compared(cloud, model, number, epoch, reading, blur2=blur2, reach=reach)
@@ -312,8 +318,9 @@ class Marginalized:
         noise = factor * (seen.told[0] + seen.told[1] * seen.mean_slope2) if seen.known > 0.0 else math.nan
         variance, used = seen.variance + noise + seen.common, chart.kind not in state.excluded and seen.known > 0.0
         innovation = Innovation(chart.kind, seen.mean, variance, noise, seen.known, used, math.sqrt(factor))
+        drawn_now: dict[str, Any] = {"cloud": cloud, "pending": None, "last_reading": epoch}
         if not used:
-            return state, innovation
+            return changed(state, **drawn_now), innovation
         met, slope2, scale = state.met.copy(), state.slope2.copy(), state.scale
         met[number] = min(met[number] + 1.0, SLOPE_MEMORY)
         slope2[number] += (seen.mean_slope2 - slope2[number]) / met[number]
@@ -324,14 +331,15 @@ class Marginalized:
         white = seen.noise(factor, cloud.spacing_m)
         after = weighed(cloud, seen, state.mean, white)
         if after is None:  # the reading contradicts every particle
-            return changed(state, met=met, slope2=slope2, scale=scale), innovation
+            return changed(state, met=met, slope2=slope2, scale=scale, **drawn_now), innovation
         cloud, cov, effective = after
         walk = self._wandered(state.walk, cloud, cov, seen, float(white[0])) if self.adapt_walk else state.walk
         mean = cloud.mean
         if effective < RESAMPLE_SHARE * cloud.weight.size:
             cloud = self._renewed(cloud, rng)
+        drawn_now["cloud"] = cloud
         return changed(
-            state, cloud=cloud, mean=mean, cov=cov, scale=scale, walk=walk, slope2=slope2, met=met
+            state, mean=mean, cov=cov, scale=scale, walk=walk, slope2=slope2, met=met, **drawn_now
         ), innovation
 
     def _wandered(

@@ -114,8 +114,7 @@ class Monitored:
         readings = tuple(reading for reading in told.measurements if reading.kind in kinds)
         innovations = self.estimator.innovations(inner)
         start_s = epoch.time_s if state.epoch is None else state.start_s
-        after = changed(state, inner=inner, epoch=told, start_s=start_s, innovations=innovations)
-        after = self._located(after, readings)
+        after = self._located(state, inner, readings, epoch=told, start_s=start_s, innovations=innovations)
         after = self._weighed(_seen(self, after, readings), readings)
         after = _settled(self, mending.mended(self, after, rng))
         return changed(after, verdict=judging.verdict(self, after), anchors=judging.anchors(self, after))
@@ -136,9 +135,12 @@ class Monitored:
         """Of the estimator."""
         return self.estimator.posterior(state.inner)
 
-    def _located(self, state: MonitorState, readings: tuple[Measurement, ...]) -> MonitorState:
-        """Where the estimate is now, and how far its cloud reaches; rivals of an estimate that jumped are gone."""
-        estimate = self.estimator.estimate(state.inner)
+    def _located(self, state: MonitorState, inner: Any, readings: tuple[Measurement, ...], **rest: Any) -> MonitorState:
+        """Where the estimate is now, and how far its cloud reaches; rivals of an estimate that jumped are gone.
+
+        `inner` is the state of the estimator after the epoch, `rest` what else has changed.
+        """
+        estimate = self.estimator.estimate(inner)
         sigma = largest_sigma_m(estimate.cov_m2)
         field = state.rivals
         if field is not None:
@@ -148,17 +150,19 @@ class Monitored:
                 field = None
         tail = state.tail
         if readings and sigma <= HYSTERESIS * self.converged_sigma_m:
-            tail = tail_of(self.estimator.posterior(state.inner), estimate.ins_error_m, BUDGET * self.risk)
+            tail = tail_of(self.estimator.posterior(inner), estimate.ins_error_m, BUDGET * self.risk)
         elif readings:
             tail = Tail()
         return changed(
             state,
+            inner=inner,
             mean_m=estimate.ins_error_m,
             sigma_m=sigma,
             spread_m=max(state.spread_m, sigma),
             tail=tail,
             rivals=field,
             standing=state.standing if field is not None else None,
+            **rest,
         )
 
     def _weighed(self, state: MonitorState, readings: tuple[Measurement, ...]) -> MonitorState:
