@@ -13,16 +13,20 @@ NO_VARIANCE = 1e-12  # of the larger variance of the position: what is less is n
 
 @jit
 def product(a, b, out):
-    """out = a b; zeros of a, of which a transition has many, cost nothing."""
-    out[:] = 0.0
-    for i in range(a.shape[0]):
-        row = out[i]
-        for k in range(a.shape[1]):
+    """out = a b; zeros of a, of which a transition has many, cost nothing.
+
+    Element by element: a row taken out counts its references, which costs as much as its sums.
+    """
+    rows, inner = a.shape
+    cols = b.shape[1]
+    for i in range(rows):
+        for j in range(cols):
+            out[i, j] = 0.0
+        for k in range(inner):
             factor = a[i, k]
             if factor != 0.0:
-                other = b[k]
-                for j in range(row.size):
-                    row[j] += factor * other[j]
+                for j in range(cols):
+                    out[i, j] += factor * b[k, j]
 
 
 @jit

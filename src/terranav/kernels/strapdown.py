@@ -188,15 +188,13 @@ def discretised(f, g, dt):
                     root[a, i, j] += scale[a] * shaped[i, j]
     q = np.zeros((n, n))
     for a in range(nodes):
-        share = h * WEIGHTS[a]
-        turned = root[a].T.copy()
+        share, turned = h * WEIGHTS[a], root[a].T.copy()
         for c in range(k):
-            column = turned[c]
             for i in range(n):
-                each = share * column[i]
+                each = share * turned[c, i]
                 if each != 0.0:
                     for j in range(n):
-                        q[i, j] += each * column[j]
+                        q[i, j] += each * turned[c, j]
     half, other = np.empty((n, n)), np.empty((n, n))
     for _ in range(doublings):
         product(phi, q, half)
@@ -239,7 +237,10 @@ def transition(start, end, dt, position, accel, gyro):
         product(system_matrix(at), held(at[2], at[3]), lifted)
         given = noise_input(at[2], at[3], at[4], position, accel, gyro)
         for i in range(13):
-            rows[i], noise[i] = lifted[HELD[i]], given[HELD[i]]
+            for j in range(13):
+                rows[i, j] = lifted[HELD[i], j]
+            for j in range(8):
+                noise[i, j] = given[HELD[i], j]
         product(to_v, rows, half)
         product(half, to_u, rate)
         product(to_v, noise, shaped)

@@ -78,14 +78,20 @@ def stepped(mean, cov, phi, q, inertial, factors):
     mean, cov : new arrays of the same shapes
     """
     d = len(phi)
-    out_mean, out_cov = np.zeros(mean.shape), np.empty(cov.shape)
+    out_mean, out_cov, grown = np.zeros(mean.shape), np.empty(cov.shape), np.empty(phi.shape)
     for n in range(len(mean)):
-        congruent(phi, cov[n], out_cov[n])
+        congruent(phi, cov[n], grown)
         for i in range(d):
+            inner = factors[n] if i < inertial else 1.0
+            for j in range(inertial):
+                out_cov[n, i, j] = grown[i, j] + inner * q[i, j]
+            for j in range(inertial, d):
+                out_cov[n, i, j] = grown[i, j] + q[i, j]
+            total = 0.0
             for j in range(d):
-                factor = factors[n] if i < inertial and j < inertial else 1.0
-                out_cov[n, i, j] += factor * q[i, j]
-                out_mean[n, i] += phi[i, j] * mean[n, j]
+                if phi[i, j] != 0.0:
+                    total += phi[i, j] * mean[n, j]
+            out_mean[n, i] = total
     return out_mean, out_cov
 
 
