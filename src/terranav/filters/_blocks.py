@@ -6,7 +6,6 @@ kernel's work on it: 0.4 ms for a grid of 401 x 401 cells.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import Any
 
@@ -14,33 +13,35 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 KEPT = 12  # blocks that wait to be used again; the oldest is given up
+SMALL = 2**16  # [bytes] below, numpy's own memory is as good
 
-_waiting: deque[NDArray[np.uint8]] = deque(maxlen=KEPT)
+_Block = tuple[tuple[int, ...], DTypeLike, dict[str, Any], NDArray[Any]]  # shape, dtype, interface, memory
+_waiting: deque[_Block] = deque(maxlen=KEPT)
 
 
 class _Lease:
     """Owner of an array's memory: the array and its views refer to it, and when the last of them goes it is free."""
 
-    def __init__(self, block: NDArray[np.uint8], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        self._block = block
-        self.__array_interface__ = {
-            "shape": shape, "typestr": dtype.str, "data": (block.ctypes.data, False), "version": 3,
-        }  # fmt: skip
+    __slots__ = ("__array_interface__", "_block")
 
-    def __del__(self, waiting: deque[NDArray[np.uint8]] = _waiting) -> None:
+    def __init__(self, block: _Block) -> None:
+        self._block, self.__array_interface__ = block, block[2]
+
+    def __del__(self, waiting: deque[_Block] = _waiting) -> None:
         waiting.append(self._block)
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """An array like that of numpy.empty."""
-    kind = np.dtype(dtype)
-    size = math.prod(shape) * kind.itemsize
     for _ in range(len(_waiting)):
         try:
             block = _waiting.pop()  # the latest: it may still be in the caches
         except IndexError:  # another thread took it
             break
-        if block.size == size:
-            return np.asarray(_Lease(block, shape, kind))
+        if block[0] == shape and block[1] == dtype:
+            return np.asarray(_Lease(block))
         _waiting.appendleft(block)
-    return np.asarray(_Lease(np.empty(size, np.uint8), shape, kind))
+    memory = np.empty(shape, dtype)
+    if memory.nbytes < SMALL:
+        return memory
+    return np.asarray(_Lease((shape, dtype, dict(memory.__array_interface__), memory)))

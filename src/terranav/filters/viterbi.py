@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.random import Generator
@@ -244,7 +245,7 @@ class Viterbi:
         end = np.rint((state.estimate_m - state.prior.mean_m) / state.cell_m).astype(int).tolist()
         return np.asarray(state.prior.mean_m + state.cell_m * state.history.path(end[0], end[1]))
 
-    @property
+    @cached_property
     def _judge(self) -> Judge:
         limit = self.converged_sigma_m
         return Judge(converged_sigma_m=min(chart.cell_m for chart in self.maps) if limit is None else limit)
