@@ -50,8 +50,8 @@ def _strips(north, weight, strips, out):
         before[j], total = total, total + share[j]
     for k in range(north.size):
         place = north[k] * scale + addend
-        j = np.uint64(place)
-        out[k] = min(int((before[j] + (place - np.floor(place)) * share[j]) * strips), strips - 1)
+        at = np.uint64(place)
+        out[k] = min(int((before[at] + (place - np.floor(place)) * share[at]) * strips), strips - 1)
 
 
 @jit
