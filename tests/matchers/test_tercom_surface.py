@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from terranav.kernels.sampling import bilinear_at
-from terranav.kernels.tercom import correlation_surface
+from terranav.kernels.tercom import correlation_surface, quadratics
 
 FloatArray = NDArray[np.float64]
 KINDS = {
@@ -82,3 +82,32 @@ def test_a_height_offset_is_removed_or_counts(kind: str, remove_mean: bool) -> N
         np.testing.assert_allclose(scores[1], scores[0], rtol=1e-9)
     else:
         assert (scores[1] > 1e6 * 50.0).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (2, 2), (3, 3), (37, 43)])
+def test_quadratics_are_those_of_plain_numpy(shape: tuple[int, int]) -> None:
+    """Slopes and bends by differences; the rise by trying the vertex, and the rim."""
+    rng = np.random.default_rng(5)
+    field = rng.normal(0.0, 3.0, shape)
+    field[rng.random(shape) < 0.05] = np.nan
+    slope, bend, rise = np.full((2, *shape), 7.0), np.full((3, *shape), 7.0), np.full(shape, 7.0)
+    quadratics(field, slope, bend, rise)
+    offset = np.linspace(-0.5, 0.5, 41)
+    u, v = offset[:, None], offset[None]
+    for i, j in np.ndindex(shape):
+        near = field[i - 1 : i + 2, j - 1 : j + 2] if i and j else np.empty((0, 0))
+        gn = ge = nn = ne = ee = 0.0
+        if near.shape == (3, 3) and not np.isnan(near).any():
+            gn, ge = 0.5 * (near[2, 1] - near[0, 1]), 0.5 * (near[1, 2] - near[1, 0])
+            nn, ee = float(near[:, 1] @ [1.0, -2.0, 1.0]), float(near[1] @ [1.0, -2.0, 1.0])
+            ne = 0.25 * (near[2, 2] - near[2, 0] - near[0, 2] + near[0, 0])
+        np.testing.assert_allclose([*slope[:, i, j], *bend[:, i, j]], [gn, ge, nn, ne, ee], atol=1e-12)
+        value = gn * u + ge * v + 0.5 * (nn * u * u + ee * v * v) + ne * u * v
+        corners = value[::20, ::20].max()
+        assert corners - 1e-12 <= rise[i, j]
+        peaked = nn < 0.0 and nn * ee > ne * ne
+        inside = peaked and np.abs(np.linalg.solve([[nn, ne], [ne, ee]], [-gn, -ge])).max() <= 0.5
+        if inside:
+            assert value.max() - 1e-12 <= rise[i, j] <= value.max() + 0.01
+        else:
+            np.testing.assert_allclose(rise[i, j], corners, atol=1e-12)

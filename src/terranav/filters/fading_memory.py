@@ -41,7 +41,7 @@ from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, st
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior, Status
 from terranav.filters._fading_surface import Memory, reframed
 from terranav.filters._maps import one_map_a_kind
-from terranav.kernels.fading_memory import log_posterior, moments, recall
+from terranav.kernels.fading_memory import log_posterior, moments, recall, rise
 from terranav.kernels.lattice import bilinear_lattice
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
@@ -224,27 +224,13 @@ class FadingMemory:
             heights = np.empty_like(after)
             bilinear_lattice(chart.values, frame.row, frame.col, -north, -east, heights)
             missing = self.alpha * (0.0 if missing is None else missing) + np.isnan(heights)
-        memory = replace(
-            memory,
-            surface=after,
-            missing=missing,
-            readings=memory.readings + 1,
-            weight=self.alpha * memory.weight + 1.0,
-            weight2=self.alpha**2 * memory.weight2 + 1.0,
-            time_s=self.alpha * memory.time_s + epoch.time_s - state.start_s,
-            gained_m2=self.alpha * memory.gained_m2 + state.gained_m2,
-        )
         patch, half = np.empty((3, 3)), 0.5 * chart.cell_m
-        step = np.array([-half, 0.0, half])
-        bilinear_lattice(
-            chart.values, frame.row, frame.col, -(state.mean_m[0] + step), -(state.mean_m[1] + step), patch
-        )
-        slope = np.nan_to_num(np.array([patch[2, 1] - patch[0, 1], patch[1, 2] - patch[1, 0]]) / (2.0 * half))
-        memory = replace(
-            memory,
-            slope2=self.alpha * memory.slope2 + (slope / sigma) ** 2,
-            slope2_time=self.alpha * memory.slope2_time + (slope / sigma) ** 2 * (epoch.time_s - state.start_s),
-        )
+        around = np.array([-half, 0.0, half])
+        here = state.mean_m[0] + around, state.mean_m[1] + around
+        bilinear_lattice(chart.values, frame.row, frame.col, -here[0], -here[1], patch)
+        slope = np.array([patch[2, 1] - patch[0, 1], patch[1, 2] - patch[1, 0]]) / (2.0 * half)
+        slope[np.isnan(slope)] = 0.0
+        memory = self._added(state, after, missing, slope / sigma)
         innovation = reading.value - patch[1, 1]
         if state.fix_m is None or not math.isfinite(innovation):
             return replace(state, memory=memory), math.nan
@@ -259,6 +245,25 @@ class FadingMemory:
         )
         spread = float(slope @ state.cov_m2 @ slope)
         return replace(state, memory=memory), float(innovation**2 / (alone**2 + spread))
+
+    def _added(
+        self, state: FadingMemoryState, surface: FloatArray, missing: FloatArray | None, told: FloatArray
+    ) -> Memory:
+        """The memory with a reading more: its surface, and its slopes (2,) north and east over its 1-sigma [1/m]."""
+        assert state.epoch is not None
+        memory, elapsed = state.memory, state.epoch.time_s - state.start_s
+        return replace(
+            memory,
+            surface=surface,
+            missing=missing,
+            readings=memory.readings + 1,
+            weight=self.alpha * memory.weight + 1.0,
+            weight2=self.alpha**2 * memory.weight2 + 1.0,
+            time_s=self.alpha * memory.time_s + elapsed,
+            gained_m2=self.alpha * memory.gained_m2 + state.gained_m2,
+            slope2=self.alpha * memory.slope2 + told**2,
+            slope2_time=self.alpha * memory.slope2_time + told**2 * elapsed,
+        )
 
     def _fixed(self, state: FadingMemoryState) -> FadingMemoryState:
         """The state with the fix that its memory gives; without one as long as the memory or the map is too short."""
@@ -290,7 +295,7 @@ class FadingMemory:
         readings = memory.weight**2 / memory.weight2
         cost = 0.5 * memory.weight / memory.weight2 * self._independent(memory)
         row, col = log_posterior(scores, cost, lattice, prior, out)
-        gain = moments(out, row, col, True, 0.0)[5]
+        gain = rise(out, row, col)
         square = max(float(scores[row, col]) - gain / cost, 0.0) / memory.weight
         spread = square * readings / max(readings - 2.0, 1.0)
         if spread > 1.0:

@@ -12,9 +12,10 @@ from terranav.kernels.lattice import bilinear_lattice
 LINES = 8  # of the lattice, sampled at a time
 FINEST = 16  # parts per axis into which a cell is cut at most
 MOST_PARTS = 400_000  # of all cells that are cut
+SUMS = {"contract"}  # a product and a sum in one operation; NaN passes through it like any other
 
 
-@jit(fastmath={"contract"})  # a product and a sum in one operation; NaN passes through it like any other
+@jit(fastmath=SUMS)
 def fade(field, value, weight, alpha, before, after):
     """One reading into the surface: after = alpha * before + weight * (value - field)^2.
 
@@ -89,17 +90,42 @@ def log_posterior(surface, cost, lattice, prior, out):
         Row and column of the maximum, -1 where every cell is NaN.
     """
     north, east = lattice
-    best, row, col = -np.inf, -1, -1
+    size = east.size
+    highest = np.full(size, -np.inf)  # of each column: that takes no branch, and runs over vector registers
+    flat, source = out.reshape(out.size), surface.reshape(surface.size)
     for i in range(north.size):
-        n = north[i] - prior[0]
-        source, line = surface[i], out[i]
-        for j in range(east.size):
-            e = east[j] - prior[1]
-            line[j] = -cost * source[j] - 0.5 * (prior[2] * n * n + 2.0 * prior[3] * n * e + prior[4] * e * e)
-        for j in range(east.size):
-            if line[j] > best:
-                best, row, col = line[j], i, j
-    return row, col
+        _weighed(source, i * size, cost, north[i] - prior[0], east, prior, flat, highest)
+    best = -np.inf
+    for j in range(size):
+        best = max(best, highest[j])
+    for i in range(north.size):
+        if best > -np.inf and _count_above(flat, i * size, size, best, True) > 0:
+            for j in range(size):
+                if out[i, j] == best:
+                    return i, j
+    return -1, -1
+
+
+@jit(fastmath=SUMS)
+def _weighed(surface, at, cost, n, east, prior, out, highest):
+    """One line of the logarithm of the posterior, and the highest so far of each column."""
+    begin, nn, ne, ee = np.uint64(at), prior[2] * n * n, 2.0 * prior[3] * n, prior[4]
+    for j in range(east.size):
+        k = begin + np.uint64(j)
+        e = east[j] - prior[1]
+        p = -cost * surface[k] - 0.5 * (nn + ne * e + ee * (e * e))
+        out[k] = p
+        highest[j] = p if p > highest[j] else highest[j]
+
+
+@jit
+def _count_above(values, at, size, floor, equal):
+    """How many values of a line lie above a floor, or on it."""
+    count, begin = 0, np.uint64(at)
+    for j in range(size):
+        p = values[begin + np.uint64(j)]
+        count += 1 if p > floor or (equal and p == floor) else 0
+    return count
 
 
 @jit
@@ -134,6 +160,12 @@ def _vertex(field, i, j):
 
 
 @jit
+def rise(field, row, col):
+    """How far the vertex of a cell's quadratic lies above its centre, where that is within the cell."""
+    return _vertex(field, row, col)[2]
+
+
+@jit
 def moments(log_p, row, col, sub_cell, tail):
     """The fix at a peak, and the second moments of the posterior about it [cells].
 
@@ -159,10 +191,10 @@ def moments(log_p, row, col, sub_cell, tail):
     u0, v0, gain = _vertex(log_p, row, col) if sub_cell else (0.0, 0.0, 0.0)
     top = log_p[row, col] + gain
     floor = log_p[row, col] - 3.0 * tail - 4.0 * gain  # a narrow peak's neighbours share its flank from far below
-    count, sharpest = 0, 0.0
-    used = np.zeros((rows, cols), dtype=np.bool_)
+    count, sharpest, first, last = 0, 0.0, rows, 0
+    flat, used = log_p.reshape(log_p.size), np.zeros((rows, cols), dtype=np.bool_)
     for i in range(rows):
-        for j in range(cols):
+        for j in range(cols if _count_above(flat, i * cols, cols, floor, False) > 0 else 0):
             p = log_p[i, j]
             if not p > floor:
                 continue
@@ -170,13 +202,13 @@ def moments(log_p, row, col, sub_cell, tail):
             rim = p + 0.5 * (abs(n) + abs(e)) + 0.125 * (abs(nn) + abs(ee)) + 0.25 * abs(ne)
             if rim > top - tail:
                 used[i, j] = True
-                count += 1
+                count, first, last = count + 1, min(first, i), i
                 if rim > top - 3.0:
                     sharpest = max(sharpest, 0.5 * (-nn - ee + math.hypot(nn - ee, 2.0 * ne)))
     cuts = min(max(math.ceil(0.8 * math.sqrt(sharpest)), 1), FINEST)
     cuts = max(min(cuts, int(math.sqrt(MOST_PARTS / max(count, 1)))), 1)
     mass, s_nn, s_ne, s_ee = 0.0, 0.0, 0.0, 0.0
-    for i in range(rows):
+    for i in range(first, last + 1):
         for j in range(cols):
             if not used[i, j]:
                 continue

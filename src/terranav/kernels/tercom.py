@@ -224,3 +224,59 @@ def correlation_surface(values, frames, readings, lattice, absolute, remove_mean
             for k in range(n):
                 _add_centred(kept, k * most, count, centre, readings[k, 1], absolute, total)
         _finish(total, weight, points, all_weight, all_points, n, start, stop, step < 0, score, valid)
+
+
+@jit(forceinline=True)
+def _most_of(slope_n, slope_e, nn, ne, ee):
+    """How far the best of a quadratic within a cell lies above its centre: at the vertex or at 8 points of the rim."""
+    det = nn * ee - ne * ne
+    peaked = (det > 0.0) & (nn < 0.0)
+    safe = det if peaked else 1.0
+    u, v = (ne * slope_e - ee * slope_n) / safe, (ne * slope_n - nn * slope_e) / safe
+    inside = peaked & (abs(u) <= 0.5) & (abs(v) <= 0.5)
+    best = 0.5 * (u * slope_n + v * slope_e) if inside else 0.0
+    north, east = 0.5 * abs(slope_n) + 0.125 * nn, 0.5 * abs(slope_e) + 0.125 * ee
+    best = north if north > best else best
+    best = east if east > best else best
+    # of two opposite corners the slopes favour one, and the twist lifts one pair and lowers the other
+    even, odd = 0.5 * abs(slope_n + slope_e), 0.5 * abs(slope_n - slope_e)
+    corner = 0.125 * (nn + ee)
+    even, odd = even + corner + 0.25 * ne, odd + corner - 0.25 * ne
+    best = even if even > best else best
+    return odd if odd > best else best
+
+
+@jit
+def quadratics(field, slope, bend, rise):
+    """The quadratic through 3 x 3 points around every point of a grid; all zero at the rim and beside NaN.
+
+    Parameters
+    ----------
+    field : (p, q) float64
+    slope : (2, p, q) float64, written
+        North and east [1/cell].
+    bend : (3, p, q) float64, written
+        Second derivatives nn, ne, ee [1/cell^2].
+    rise : (p, q) float64, written
+        How far the best of the quadratic within half a cell lies above the point.
+    """
+    rows, cols = field.shape
+    slope[:], bend[:], rise[:] = 0.0, 0.0, 0.0
+    for i in range(1, rows - 1):
+        y = np.uint64(i)
+        south, north = y - ONE, y + ONE
+        for j in range(1, cols - 1):
+            x = np.uint64(j)
+            west, east = x - ONE, x + ONE
+            twice = 2.0 * field[y, x]
+            n, e = 0.5 * (field[north, x] - field[south, x]), 0.5 * (field[y, east] - field[y, west])
+            nn = field[north, x] - twice + field[south, x]
+            ee = field[y, east] - twice + field[y, west]
+            ne = 0.25 * (field[north, east] - field[north, west] - field[south, east] + field[south, west])
+            total = n + e + nn + ne + ee
+            known = total == total
+            n, e = (n if known else 0.0), (e if known else 0.0)
+            nn, ne, ee = (nn if known else 0.0), (ne if known else 0.0), (ee if known else 0.0)
+            slope[0, y, x], slope[1, y, x] = n, e
+            bend[0, y, x], bend[1, y, x], bend[2, y, x] = nn, ne, ee
+            rise[y, x] = _most_of(n, e, nn, ne, ee)

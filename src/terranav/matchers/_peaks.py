@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from terranav.core.records import Candidates, Posterior
+from terranav.kernels.tercom import quadratics
 
 FloatArray = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ class _Parts:
 def best_place(surface: Surface, log_p: FloatArray) -> tuple[float, float]:
     """INS error at the peak of log_p (p, q), located between the points of the grid [m]."""
     i, j = np.unravel_index(int(np.nanargmax(log_p)), log_p.shape)
-    slope, bend = _quadratics(log_p[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2])
+    slope, bend, _ = _quadratics(log_p[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2])
     u, v = _vertex(slope, bend)
     inner = u.shape == (3, 3)
     north, east = (float(u[1, 1]), float(v[1, 1])) if inner else (0.0, 0.0)
@@ -72,8 +73,8 @@ def best_place(surface: Surface, log_p: FloatArray) -> tuple[float, float]:
 
 def zoomed(surface: Surface, log_p: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Points (north, east) [m] of a finer grid over all that matters; None where this one is as fine as need be."""
-    slope, bend = _quadratics(log_p)
-    top = np.where(np.isnan(log_p), -np.inf, log_p + _gain(slope, bend))
+    _, bend, rise = _quadratics(log_p)
+    top = np.where(np.isnan(log_p), -np.inf, log_p + rise)
     cells = np.nonzero(top > top.max() - TAIL)
     first, last = [max(int(c.min()) - 1, 0) for c in cells], [int(c.max()) + 1 for c in cells]
     sides = [min(b, size - 1) - a for a, b, size in zip(first, last, top.shape)]
@@ -98,11 +99,11 @@ def candidates(surface: Surface, log_p: FloatArray, nis: float, apart_m: float |
         A candidate is best within this distance along each axis. None: within three cells, each of which is its centre,
         and the covariance has the step^2/12 of that.
     """
-    slope, bend = _quadratics(log_p)
+    slope, bend, rise = _quadratics(log_p)
     apart = 3 if apart_m is None else round(apart_m / surface.step_m)
     if apart_m is None:
-        slope, bend = np.zeros_like(slope), np.zeros_like(bend)
-    top = np.where(np.isnan(log_p), -np.inf, log_p + _gain(slope, bend))
+        slope, bend, rise = np.zeros_like(slope), np.zeros_like(bend), np.zeros_like(rise)
+    top = np.where(np.isnan(log_p), -np.inf, log_p + rise)
     parts = _cut(surface, log_p, top, slope, bend)
     inner_m2 = surface.step_m**2 / 12.0 if apart_m is None else parts.floor_m2
     highest = maximum_filter(top, size=2 * apart + 1)[parts.cell[:, 0], parts.cell[:, 1]]
@@ -163,19 +164,11 @@ def _moments(parts: _Parts, own: NDArray[np.bool_], inner_m2: float) -> tuple[fl
     return share, mean, np.einsum("ij,ijk,ijl->kl", mass, off, off) / share + np.eye(2) * inner_m2
 
 
-def _quadratics(field: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slopes (2, p, q) and second derivatives (3, p, q: nn, ne, ee) by 3 x 3 points [1/cell]; zero where one is NaN."""
-    f = field
-    slope, bend = np.zeros((2, *f.shape)), np.zeros((3, *f.shape))
-    inner = (slice(1, -1), slice(1, -1))
-    slope[(0, *inner)] = 0.5 * (f[2:, 1:-1] - f[:-2, 1:-1])
-    slope[(1, *inner)] = 0.5 * (f[1:-1, 2:] - f[1:-1, :-2])
-    bend[(0, *inner)] = f[2:, 1:-1] - 2.0 * f[1:-1, 1:-1] + f[:-2, 1:-1]
-    bend[(1, *inner)] = 0.25 * (f[2:, 2:] - f[2:, :-2] - f[:-2, 2:] + f[:-2, :-2])
-    bend[(2, *inner)] = f[1:-1, 2:] - 2.0 * f[1:-1, 1:-1] + f[1:-1, :-2]
-    missing = np.isnan(slope).any(axis=0) | np.isnan(bend).any(axis=0)
-    slope[:, missing], bend[:, missing] = 0.0, 0.0
-    return slope, bend
+def _quadratics(field: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Slopes, second derivatives and rise of the quadratics through 3 x 3 points (`kernels.tercom.quadratics`)."""
+    slope, bend, rise = np.empty((2, *field.shape)), np.empty((3, *field.shape)), np.empty(field.shape)
+    quadratics(np.ascontiguousarray(field), slope, bend, rise)
+    return slope, bend, rise
 
 
 def _vertex(slope: FloatArray, bend: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -187,14 +180,3 @@ def _vertex(slope: FloatArray, bend: FloatArray) -> tuple[FloatArray, FloatArray
     v = (bend[1] * slope[0] - bend[0] * slope[1]) / safe
     inside = peaked & (np.abs(u) <= 0.5) & (np.abs(v) <= 0.5)
     return np.where(inside, u, 0.0), np.where(inside, v, 0.0)
-
-
-def _gain(slope: FloatArray, bend: FloatArray) -> FloatArray:
-    """How far the best within each cell lies above its centre: at the vertex or at one of the rim's eight points."""
-    u, v = _vertex(slope, bend)
-    best = np.asarray(0.5 * (u * slope[0] + v * slope[1]))
-    for a in (-0.5, 0.0, 0.5):
-        for b in (-0.5, 0.0, 0.5):
-            rim = a * slope[0] + b * slope[1] + 0.5 * (a * a * bend[0] + b * b * bend[2]) + a * b * bend[1]
-            best = np.maximum(best, rim)
-    return best

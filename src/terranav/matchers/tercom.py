@@ -123,13 +123,17 @@ class Tercom:
         if share[np.isfinite(surface.score)].sum() <= 0.5 * share.sum():
             return Candidates(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
         apart_m = 3.0 * surface.step_m if self.sub_cell else None
-        log_p, nis = self._log_p(surface, prior, profile)
+        told = float(np.sum(1.0 / _shared_sigma(profile, self._map(profile)) ** 2))
+        cost, nis = self._cost(surface, log_prior, profile, told)
+        log_p = log_prior - cost * surface.score
         for _ in range(MOST_ZOOMS if self.sub_cell else 0):
             axes = zoomed(surface, log_p)
             if axes is None:
                 break
             surface = self._surface_at(*axes, profile)
-            log_p, nis = self._log_p(surface, prior, profile)
+            log_prior = self._log_prior(prior, surface)
+            cost, nis = self._cost(surface, log_prior, profile, told)
+            log_p = log_prior - cost * surface.score
         return candidates(surface, log_p, nis, apart_m)
 
     def surface(self, prior: Prior, profile: Profile) -> Surface:
@@ -153,12 +157,6 @@ class Tercom:
         correlation_surface(chart.values, frames, readings, (north, east), absolute, self.remove_mean, score, valid)
         score[valid < LEAST_VALID - 1e-9] = np.nan
         return Surface(north, east, score)
-
-    def _log_p(self, surface: Surface, prior: Prior, profile: Profile) -> tuple[FloatArray, float]:
-        """(p, q) logarithm of the probability, NaN where the map says too little, and the NIS of the best place."""
-        log_prior = self._log_prior(prior, surface)
-        cost, nis = self._cost(surface, log_prior, profile)
-        return log_prior - cost * surface.score, nis
 
     def _map(self, profile: Profile) -> Map:
         """The first map of the profile's kind."""
@@ -199,11 +197,13 @@ class Tercom:
         a, b, c = np.linalg.inv(prior.cov_m2)[[0, 0, 1], [0, 1, 1]]
         return np.asarray(-0.5 * (a * north * north + 2.0 * b * north * east + c * east * east))
 
-    def _cost(self, surface: Surface, log_prior: FloatArray, profile: Profile) -> tuple[float, float]:
-        """Log-probability that one unit of score costs, and the NIS of the best place (see the module docstring)."""
+    def _cost(self, surface: Surface, log_prior: FloatArray, profile: Profile, told: float) -> tuple[float, float]:
+        """Log-probability that one unit of score costs, and the NIS of the best place (see the module docstring).
+
+        `told` is the information of the readings, sum of 1/sigma^2, with the map's error shared.
+        """
         chart = self._map(profile)
         alone = np.sqrt(profile.sigma**2 + chart.sigma**2)
-        told = float(np.sum(1.0 / _shared_sigma(profile, chart) ** 2))
         unit = 0.5 if self.metric == "msd" else math.sqrt(2.0 / math.pi) / float(np.mean(1.0 / alone))
         place = best_place(surface, log_prior - unit * told * surface.score)
         sampled = chart.sample(*shift(profile.lat_deg, profile.lon_deg, -place[0], -place[1]))
