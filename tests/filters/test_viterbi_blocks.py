@@ -52,6 +52,15 @@ def test_arrays_pickle_and_the_pool_is_bounded() -> None:
     assert len(_blocks._waiting) == _blocks.KEPT
 
 
+def test_small_and_large_arrays_are_not_kept() -> None:
+    for shape in ((10, 10), (1000, 1000)):
+        before = list(_blocks._waiting)
+        del_me = _blocks.empty(shape)
+        assert del_me.flags.owndata
+        del del_me
+        assert all(old is new for old, new in zip(before, _blocks._waiting, strict=True))
+
+
 def test_threads_do_not_share_memory() -> None:
     def work(mark: int) -> bool:
         whole = True

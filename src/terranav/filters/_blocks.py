@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 KEPT = 12  # blocks that wait to be used again; the oldest is given up
-SMALL = 2**16  # [bytes] below, numpy's own memory is as good
+SMALL, LARGE = 2**16, 2**22  # [bytes] below, memory comes without new pages; above, numpy asks for huge ones
 
 _Block = tuple[tuple[int, ...], DTypeLike, dict[str, Any], NDArray[Any]]  # shape, dtype, interface, memory
 _waiting: deque[_Block] = deque(maxlen=KEPT)
@@ -42,6 +42,6 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]
             return np.asarray(_Lease(block))
         _waiting.appendleft(block)
     memory = np.empty(shape, dtype)
-    if memory.nbytes < SMALL:
+    if not SMALL <= memory.nbytes < LARGE:
         return memory
     return np.asarray(_Lease((shape, dtype, dict(memory.__array_interface__), memory)))
