@@ -211,11 +211,8 @@ def advance(cloud, weight, mean, phi, spread, noise, out):
     for start in range(0, m, BLOCK):
         stop = min(start + BLOCK, m)
         size = stop - start
-        for i in range(COMMON):
-            block[i, :size] = out[i, start:stop]
-        block[COMMON, :size], block[COMMON + 1, :size] = noise[0, start:stop], noise[1, start:stop]
         for a in range(2):
-            _combined(block, own[a], centre, white[a, :size])
+            _combined(out, noise, start, own[a], centre, white[a, :size])
         e, f = white[0, :size], white[1, :size]
         for i in range(COMMON):
             row, a, b = out[i, start:stop], spread[i, 0], spread[i, 1]
@@ -226,15 +223,15 @@ def advance(cloud, weight, mean, phi, spread, noise, out):
 
 
 @jit(fastmath=SUMS)
-def _combined(block, factors, centre, out):
-    """out = the sum of six rows of a block about their centres, times their factors."""
-    size, constant = out.size, 0.0
-    one, two, three = block[0, :size], block[1, :size], block[2, :size]
-    four, five, six = block[3, :size], block[4, :size], block[5, :size]
+def _combined(cloud, noise, start, factors, centre, out):
+    """out = the sum of four rows of a cloud and two of noise about their centres, times their factors."""
+    stop, constant = start + out.size, 0.0
+    one, two, three, four = cloud[0, start:stop], cloud[1, start:stop], cloud[2, start:stop], cloud[3, start:stop]
+    five, six = noise[0, start:stop], noise[1, start:stop]
     a, b, c, d, e, f = factors
     for i in range(6):
         constant -= factors[i] * centre[i]
-    for k in range(size):
+    for k in range(out.size):
         out[k] = constant + (a * one[k] + b * two[k] + c * three[k]) + (d * four[k] + e * five[k] + f * six[k])
 
 
