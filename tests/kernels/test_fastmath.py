@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terranav.kernels.fastmath import LEAST_EXPONENT, LEAST_POWER, fast_exp, fast_exp2, fast_rsqrt
+from terranav.kernels.fastmath import LEAST_EXPONENT, LEAST_POWER, fast_exp, fast_exp2, fast_log, fast_rsqrt
 
 
 def test_relative_error_is_below_four_in_1e15() -> None:
@@ -22,6 +22,14 @@ def test_powers_of_two_and_inverse_roots_within_their_bounds() -> None:
     x = np.concatenate([np.logspace(-300, 300, 20001), np.linspace(1.0, 4.0, 20001)])
     got = np.array([fast_rsqrt(value) for value in x])
     assert np.abs(got * np.sqrt(x) - 1.0).max() < 1e-15
+
+
+def test_logarithms_within_their_bound() -> None:
+    x = np.concatenate([np.logspace(-307, 308, 40001), np.linspace(0.5, 2.0, 40001), 1.0 + np.logspace(-16, -1, 100)])
+    got = np.array([fast_log(value) for value in x])
+    assert (np.abs(got - np.log(x)) / np.maximum(1.0, np.abs(np.log(x)))).max() < 2e-15
+    assert fast_log(1.0) == 0.0
+    assert fast_log.py_func(np.float64(3.7)) == pytest.approx(np.log(3.7), rel=2e-15)
 
 
 def test_far_below_it_stays_at_the_smallest_normal_number() -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from terranav.filters.pointmass import gaussian_taps
-from terranav.kernels.grid import FLOOR, diffuse, resample
+from terranav.kernels.grid import FLOOR, diffuse, regrid, resample
 from terranav.kernels.sampling import bicubic
 
 FloatArray = NDArray[np.float64]
@@ -70,3 +70,15 @@ def test_resampling_on_the_same_cells_changes_nothing() -> None:
     out = np.empty_like(density)
     resample(np.log(density), np.arange(9.0), np.arange(12.0), out)
     np.testing.assert_allclose(out, density, rtol=1e-13)
+
+
+def test_regridding_resamples_and_normalises() -> None:
+    density = np.random.default_rng(12).random((23, 17)) ** 9
+    density[3:5, 2:9] = 0.0
+    rows, cols = np.linspace(-1.0, 23.0, 31), np.linspace(0.5, 15.5, 40)
+    out = np.empty((31, 40))
+    regrid(density, rows, cols, out)
+    plain = plain_resample(np.log(np.maximum(density, FLOOR)), rows, cols)
+    np.testing.assert_allclose(out, plain / plain.sum(), rtol=1e-11, atol=1e-299)
+    regrid.py_func(density, rows, cols, out)
+    np.testing.assert_allclose(out, plain / plain.sum(), rtol=1e-11, atol=1e-299)

@@ -22,7 +22,7 @@ from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.density import border, diffused, measured
-from terranav.kernels.grid import FLOOR, resample
+from terranav.kernels.grid import regrid
 from terranav.kernels.pointmass import advance
 from terranav.kernels.rows import half_taps
 from terranav.maps.map import Map
@@ -340,8 +340,8 @@ class PointMass:
             axes.append(centre + cell * np.arange(-half, half + 1))
         density = np.empty((axes[0].size, axes[1].size))
         rows, cols = (axes[0] - grid.south_m) / grid.cell_m, (axes[1] - grid.west_m) / grid.cell_m
-        resample(np.log(np.maximum(grid.density, FLOOR)), rows, cols, density)
-        return Grid(float(axes[0][0]), float(axes[1][0]), cell, density / density.sum())
+        regrid(grid.density, rows, cols, density)
+        return Grid(float(axes[0][0]), float(axes[1][0]), cell, density)
 
 
 def gaussian_taps(variance: float) -> FloatArray:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from terranav.kernels.fastmath import fast_exp
+from terranav.kernels.fastmath import fast_exp, fast_log
 from terranav.kernels.jit import jit
-from terranav.kernels.rows import FLOOR, SUMS, blur, blur_across
+from terranav.kernels.rows import FLOOR, SUMS, blur, blur_across, scale, total_of
 from terranav.kernels.sampling import SLACK
 
-__all__ = ["FLOOR", "diffuse", "resample"]
+__all__ = ["FLOOR", "diffuse", "regrid", "resample"]
 
 OVERSHOOT = 0.7  # a cubic patch of the logarithm rises at most this much above the four cells around it
 
@@ -108,3 +108,15 @@ def resample(log_density, rows, cols, out):
                     out[a, b] = 0.0
         else:
             out[a] = 0.0
+
+
+@jit
+def regrid(density, rows, cols, out):
+    """`resample` a density, and normalise it."""
+    source, logarithm = density.reshape(density.size), np.empty_like(density)
+    flat, target = logarithm.reshape(density.size), out.reshape(out.size)
+    for k in range(source.size):
+        p = source[k]
+        flat[k] = fast_log(p if p > FLOOR else FLOOR)
+    resample(logarithm, rows, cols, out)
+    scale(target, 1.0 / total_of(target, 0, target.size))
