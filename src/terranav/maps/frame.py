@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from terranav.core.earth import ECCENTRICITY_SQ, SEMI_MAJOR_M, shift
 
 FloatArray = NDArray[np.float64]
+DEGREE = math.pi / 180.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,19 +54,15 @@ def geographic_frame(lat_deg: float, lon_deg: float, inverse: tuple[float, ...])
     lat = math.radians(lat_deg)
     sin, cos = math.sin(lat), math.cos(lat)
     w2 = 1.0 - ECCENTRICITY_SQ * sin * sin
-    prime_vertical = SEMI_MAJOR_M / math.sqrt(w2)
-    meridian = prime_vertical * (1.0 - ECCENTRICITY_SQ) / w2
-    per_lat, per_lon = math.radians(meridian), math.radians(prime_vertical * cos)
-    per_lat_slope = math.radians(3.0 * ECCENTRICITY_SQ * sin * cos / w2 * per_lat)
-    per_lon_slope = -math.radians(per_lat * sin)
-    lat_n, lat_nn = 1.0 / per_lat, -0.5 * per_lat_slope / per_lat**3
-    lon_e, lon_ne = 1.0 / per_lon, -0.5 * per_lon_slope / (per_lat * per_lon**2)
-
-    def coefficients(by_lon: float, by_lat: float, constant: float) -> FloatArray:
-        start = by_lon * lon_deg + by_lat * lat_deg + constant
-        return np.array([start, by_lat * lat_n, by_lon * lon_e, by_lat * lat_nn, by_lon * lon_ne, 0.0])
-
-    return LocalFrame(row=coefficients(*inverse[3:]), col=coefficients(*inverse[:3]))
+    prime_vertical = SEMI_MAJOR_M * DEGREE / math.sqrt(w2)  # m in a degree
+    per_lat, per_lon = prime_vertical * (1.0 - ECCENTRICITY_SQ) / w2, prime_vertical * cos
+    n, e = 1.0 / per_lat, 1.0 / per_lon
+    nn = -1.5 * DEGREE * ECCENTRICITY_SQ * sin * cos / w2 * n * n
+    ne = 0.5 * DEGREE * sin * e * e
+    lon_1, lat_1, start, lon_2, lat_2, start_2 = inverse
+    row = [lon_2 * lon_deg + lat_2 * lat_deg + start_2, lat_2 * n, lon_2 * e, lat_2 * nn, lon_2 * ne, 0.0]
+    col = [lon_1 * lon_deg + lat_1 * lat_deg + start, lat_1 * n, lon_1 * e, lat_1 * nn, lon_1 * ne, 0.0]
+    return LocalFrame(np.array(row), np.array(col))
 
 
 _STENCIL_N = np.array([0.0, 1.0, -1.0, 0.0, 0.0, 1.0, 1.0, -1.0, -1.0])
