@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from terranav.core.earth import ECCENTRICITY_SQ, SEMI_MAJOR_M, shift
+from terranav.core.earth import ECCENTRICITY_SQ, SEMI_MAJOR_M, shifted
 
 FloatArray = NDArray[np.float64]
 DEGREE = math.pi / 180.0
@@ -65,10 +65,6 @@ def geographic_frame(lat_deg: float, lon_deg: float, inverse: tuple[float, ...])
     return LocalFrame(np.array(row), np.array(col))
 
 
-_STENCIL_N = np.array([0.0, 1.0, -1.0, 0.0, 0.0, 1.0, 1.0, -1.0, -1.0])
-_STENCIL_E = np.array([0.0, 0.0, 0.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-
-
 def fitted_frame(
     lat_deg: float,
     lon_deg: float,
@@ -83,7 +79,7 @@ def fitted_frame(
     step_m : float [m]
     cells : function of (lat_deg, lon_deg), both (9,), that gives fractional rows and columns
     """
-    row, col = cells(*shift(lat_deg, lon_deg, _STENCIL_N * step_m, _STENCIL_E * step_m))
+    row, col = cells(*_stencil(lat_deg, lon_deg, step_m))
 
     def coefficients(f: FloatArray) -> FloatArray:
         scaled = np.array(
@@ -100,3 +96,16 @@ def fitted_frame(
         return out
 
     return LocalFrame(row=coefficients(row), col=coefficients(col))
+
+
+def _stencil(lat_deg: float, lon_deg: float, step_m: float) -> tuple[FloatArray, FloatArray]:
+    """A place; those one step north, south, east and west of it; and north-east, north-west, south-east, south-west."""
+    lats, away = [], []
+    for north in (0.0, step_m, -step_m):  # how far a step east goes depends on the latitude alone
+        lat, lon = shifted(lat_deg, lon_deg, north, step_m)
+        lats.append(lat)
+        away.append((lon - lon_deg + 180.0) % 360.0 - 180.0)
+    here, up, down = lats
+    along, above, below = away
+    east = np.array([0.0, 0.0, 0.0, along, -along, above, -above, below, -below])
+    return np.array([here, up, down, here, here, up, up, down, down]), lon_deg + east
