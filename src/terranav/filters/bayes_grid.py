@@ -37,6 +37,7 @@ from terranav.core.checks import finite
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.records import Epoch, Estimate, Measurement
 from terranav.filters.pointmass import RESOLVE, Grid, PointMass, PointMassState, Update, gaussian_taps
+from terranav.kernels.candidates import compared
 from terranav.kernels.grid import diffuse
 from terranav.kernels.lattice import bilinear_lattice
 from terranav.kernels.sampling import bicubic
@@ -123,17 +124,19 @@ class BayesGrid(PointMass):
     def _weighed(self, grid: Grid, epoch: Epoch, chart: Map, reading: Measurement, sigma: float) -> Update:
         """Weigh the grid by the candidates of one reading."""
         prior, heights = grid.density, self._heights(grid, epoch, chart)
-        there = np.isfinite(heights)
-        known = float(prior[there].sum())
+        known, first, second, steps2, sloped = compared(heights, prior, reading.value)
         if known <= 0.0:
             return Update(grid, 0.0, math.nan, math.inf)
-        away = np.where(there, heights - reading.value, 0.0)
-        mean = float((prior * away).sum()) / known
-        spread = max(float((prior * away**2)[there].sum()) / known - mean**2, 0.0)
+        mean = first / known
+        spread = max(second / known - mean**2, 0.0)
         nis = mean**2 / (sigma**2 + spread)
-        change = _rms_change(heights, prior)
+        change = (
+            math.sqrt(steps2 / sloped) if sloped > 0.0 else 0.0
+        )  # of the map from one cell to the next, rms per axis
         resolved = grid.cell_m * sigma / (RESOLVE * change) if change > 0.0 else math.inf
-        likelihood = self._likelihood(np.where(there, np.abs(away), np.inf), grid, sigma, change)
+        away = np.abs(heights - reading.value)
+        away[np.isnan(away)] = np.inf
+        likelihood = self._likelihood(away, grid, sigma, change)
         if likelihood is None:
             return Update(grid, known, nis, resolved)
         return Update(replace(grid, density=_normalised(prior, likelihood)), known, nis, resolved)
@@ -162,12 +165,13 @@ class BayesGrid(PointMass):
             variance = (sigma / change) ** 2 if change > 0.0 else BROADEST**2
         taps = gaussian_taps(min(max(variance, RESOLVE**2), BROADEST**2))
         solid = _smooth(np.isfinite(away).astype(np.float64), taps)
+        unknown = (solid <= 1e-12) | np.isinf(away)
+        solid[unknown] = np.nan
+        told = float(grid.density.sum(where=~unknown))
         for widened in (1.0, 2.0, 4.0, WIDEST):
             inside = _smooth((away <= widened * band).astype(np.float64), taps)
-            likelihood = np.full_like(inside, np.nan)
-            np.divide(inside, solid, out=likelihood, where=solid > 1e-12)
-            likelihood[np.isinf(away)] = np.nan
-            average = float(np.nansum(grid.density * likelihood) / grid.density[np.isfinite(likelihood)].sum())
+            likelihood = inside / solid
+            average = float((grid.density * likelihood).sum(where=~unknown)) / told
             if average > FEW:
                 return (1.0 - self.outlier_share) * likelihood + self.outlier_share * average
         return None
@@ -186,17 +190,11 @@ def _smooth(field: FloatArray, taps: FloatArray) -> FloatArray:
     return out
 
 
-def _rms_change(heights: FloatArray, prior: FloatArray) -> float:
-    """Root mean square change of the map per axis from one cell to the next, weighed by the prior; 0 where unknown."""
-    square = 0.5 * (np.gradient(heights, axis=0) ** 2 + np.gradient(heights, axis=1) ** 2)
-    there = np.isfinite(square)
-    mass = float(prior[there].sum())
-    return math.sqrt(float((prior[there] * square[there]).sum()) / mass) if mass > 0.0 else 0.0
-
-
 def _normalised(prior: FloatArray, likelihood: FloatArray) -> FloatArray:
     """Bayes' rule; cells without a likelihood get the average of the others."""
     there = np.isfinite(likelihood)
-    average = float((prior * np.where(there, likelihood, 0.0)).sum()) / float(prior[there].sum())
-    posterior = prior * np.where(there, likelihood, average)
+    posterior = prior * likelihood
+    if not there.all():
+        average = float(posterior[there].sum()) / float(prior[there].sum())
+        posterior = np.where(there, posterior, average * prior)
     return np.asarray(posterior / posterior.sum())
