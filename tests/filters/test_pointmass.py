@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -165,6 +167,36 @@ def test_taps_have_exactly_the_variance_asked(variance: float) -> None:
     steps = np.arange(taps.size) - taps.size // 2
     assert taps.sum() == pytest.approx(1.0, abs=1e-14)
     assert (taps * steps**2).sum() == pytest.approx(variance, rel=2e-3, abs=1e-15)
+
+
+def test_states_are_left_as_they_were_and_runs_on_threads_give_the_same_bits() -> None:
+    rng = np.random.default_rng(10)
+    rows, cols = np.mgrid[0:301, 0:301]
+    values = (200.0 * np.sin(rows / 5.0) * np.cos(cols / 7.0)).astype(np.float32)
+    values[rng.random(values.shape) < 0.002] = np.nan
+    chart = replace(plane(0.0, 0.0), values=values)
+    ins = replace(INS, velocity_sigma_mps=0.5)
+    filter_ = PointMass((chart,), ins)
+    start = filter_.init(Prior.from_ins(ins), RNG)
+    epochs = flight(chart, np.array([120.0, -90.0]), 25, 3.0, rng)
+    epochs = [e for e in epochs if np.isfinite(e.measurements[0].value)]
+
+    def run(_: int) -> list[PointMassState]:
+        states = [start]
+        for epoch in epochs:
+            kept = states[-1].grid.density.copy()
+            states.append(filter_.step(states[-1], epoch, RNG))
+            assert np.array_equal(states[-2].grid.density, kept)
+        return states
+
+    alone = run(0)
+    with ThreadPoolExecutor(4) as pool:
+        for states in pool.map(run, range(4)):
+            for one, other in zip(states, alone, strict=True):
+                assert one.grid.density.tobytes() == other.grid.density.tobytes()
+                assert one.mean_m.tobytes() == other.mean_m.tobytes()
+    again = filter_.step(pickle.loads(pickle.dumps(alone[-2])), epochs[-1], RNG)
+    assert again.grid.density.tobytes() == alone[-1].grid.density.tobytes()
 
 
 @pytest.mark.parametrize(
