@@ -185,7 +185,8 @@ class Viterbi:
             prior, cell, int(-half[0]), int(-half[1]), start, share / share.sum(), log_best, history,
             prior.mean_m, prior.cov_m2, prior.cov_m2, Judgement(),
         )  # fmt: skip
-        return _measured(state)
+        estimate, spread, cov = _measured(state)
+        return changed(state, estimate_m=estimate, spread_m2=spread, cov_m2=cov)
 
     def step(self, state: ViterbiState, epoch: Epoch, rng: Generator) -> ViterbiState:
         """One recursion of eqs. 11 and 12, with all readings of the epoch."""
@@ -199,16 +200,19 @@ class Viterbi:
                     known.append(share)
                     if share > 0.5:
                         nis.append(innovation2)
-        state = _measured(state)
+        estimate, spread, cov = _measured(state)
         judgement = judge(
             self._judge,
             state.judgement,
-            largest_sigma_m(state.cov_m2),
+            largest_sigma_m(cov),
             nis=sum(nis) / len(nis) if nis else math.nan,
             readings=len(nis),
             off_map=max(known) <= 0.5 if known else None,
         )
-        return changed(state, judgement=judgement, last_reading=epoch if known else state.last_reading)
+        return changed(
+            state, estimate_m=estimate, spread_m2=spread, cov_m2=cov, judgement=judgement,
+            last_reading=epoch if known else state.last_reading,
+        )  # fmt: skip
 
     def estimate(self, state: ViterbiState) -> Estimate:
         """The end of the best path (eq. 14) and the mean square deviation of the forward recursion from it."""
@@ -287,7 +291,7 @@ class Viterbi:
         elapsed, dt = state.epoch.time_s - state.start_s, epoch.time_s - state.epoch.time_s
         growth = max(self.ins.position_growth_m2(elapsed, dt, float(v)) for v in np.diag(state.spread_m2))
         unaided = state.unaided_m2 + self.ins.position_growth_m2(elapsed, dt)
-        state = self._enlarged(changed(state, epoch=epoch, unaided_m2=unaided))
+        state = self._enlarged(state, unaided)
         reach = 3.0 * self.ins.velocity_sigma_at_mps(elapsed + dt) * dt
         times, stay = self._steps(growth, reach, state, dt)
         pointers = _blocks.empty((times, *state.score.shape), np.uint8)
@@ -295,7 +299,7 @@ class Viterbi:
         for layer in pointers:
             score, probability = _transition(score, probability, stay, layer)
         history = state.history.extended(Origins(state.south, state.west, pointers))
-        return changed(state, score=score, probability=probability, history=history)
+        return changed(state, epoch=epoch, unaided_m2=unaided, score=score, probability=probability, history=history)
 
     def _steps(self, growth_m2: float, reach_m: float, state: ViterbiState, dt: float) -> tuple[int, float]:
         """How many times the 3 x 3 step is applied, and p."""
@@ -309,9 +313,9 @@ class Viterbi:
         times = min(max(math.ceil(growth_m2 / ((1.0 - LEAST_STAY) * whole)), far, 1), most)
         return times, max(1.0 - growth_m2 / (times * whole), 1.0 / 9.0)
 
-    def _enlarged(self, state: ViterbiState) -> ViterbiState:
+    def _enlarged(self, state: ViterbiState, unaided_m2: float) -> ViterbiState:
         """The square of the unaided INS now, as far as memory goes; new cells have no path yet."""
-        half = self._half(state.prior, state.cell_m, state.unaided_m2)
+        half = self._half(state.prior, state.cell_m, unaided_m2)
         if half[0] <= -state.south and half[1] <= -state.west:
             return state
         half = np.maximum(half, [-state.south, -state.west])
@@ -355,11 +359,15 @@ def _transition(
     return scores, probabilities
 
 
-def _measured(state: ViterbiState) -> ViterbiState:
-    """The state with its estimate and covariance read off the grid."""
+def _measured(state: ViterbiState) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Estimate, covariance of the probabilities about their mean and about the estimate, read off the grid."""
     row, col, *mean, nn, ne, ee = kernel.moments(state.score, state.probability, state.south, state.west)
-    cell = state.cell_m
+    cell, own = state.cell_m, 1.0 / 12.0  # the cell's own variance
+    north, east = mean[0] - row, mean[1] - col
     estimate = state.prior.mean_m + cell * np.array([row, col], dtype=np.float64)
-    spread = cell * cell * (np.array([[nn, ne], [ne, ee]]) + np.eye(2) / 12.0)
-    off = cell * np.array([mean[0] - row, mean[1] - col])
-    return changed(state, estimate_m=estimate, spread_m2=spread, cov_m2=spread + np.outer(off, off))
+    spread = cell * cell * np.array([[nn + own, ne], [ne, ee + own]])
+    return (
+        estimate,
+        spread,
+        spread + cell * cell * np.array([[north * north, north * east], [north * east, east * east]]),
+    )
