@@ -234,7 +234,7 @@ def named(part: str, case_: Case) -> str:
 
 
 def rows() -> list[Row]:
-    usual, wide, large = case(201, 0.05, 6), case(201, 0.6, 6), case(1001, 0.6, 2)
+    usual, wide, large = case(201, 0.05, 12), case(201, 0.6, 12), case(1001, 0.6, 3)
     found = []
     for made, goals, repeats, goal in ((usual, (4.0, 60.0), 7, 2.5), (wide, (4.0, 60.0), 7, 2.5)):
         found += [whole(made, goals, repeats), alone(made, goal)]

@@ -41,27 +41,6 @@ def half_taps(variance):
 
 
 @jit(fastmath=SUMS)
-def _three(flat, first, stride, taps, out, at, size):
-    """Sum of a cell and its two neighbours at `stride`."""
-    t0, t1 = taps[0], taps[1]
-    for j in range(size):
-        k = first + np.uint64(j)
-        out[at + np.uint64(j)] = t0 * flat[k] + t1 * (flat[k - stride] + flat[k + stride])
-
-
-@jit(fastmath=SUMS)
-def _nine(flat, first, stride, taps, out, at, size):
-    """Sum of a cell and its four neighbours on either side."""
-    t0, t1, t2, t3, t4 = taps[0], taps[1], taps[2], taps[3], taps[4]
-    s2, s3, s4 = stride + stride, stride + stride + stride, stride + stride + stride + stride
-    for j in range(size):
-        k = first + np.uint64(j)
-        near = t0 * flat[k] + t1 * (flat[k - stride] + flat[k + stride]) + t2 * (flat[k - s2] + flat[k + s2])
-        far = t3 * (flat[k - s3] + flat[k + s3]) + t4 * (flat[k - s4] + flat[k + s4])
-        out[at + np.uint64(j)] = near + far
-
-
-@jit(fastmath=SUMS)
 def _three_of_four(flat, first, stride, taps, out, at, step, size):
     """`_three` for four rows at once, of which each source row is fetched once."""
     t0, t1, two, three, four = taps[0], taps[1], stride + stride, stride + stride + stride, np.uint64(4) * stride
@@ -112,19 +91,31 @@ def _add(flat, first, tap, out, at, size):
         out[at + np.uint64(j)] += tap * flat[first + np.uint64(j)]
 
 
-@jit(forceinline=True)
+@jit(fastmath=SUMS)
 def blur(flat, first, stride, taps, out, at, size):
-    """Weighted sums of the cells around flat[first + j], `stride` apart, into out[at + j]; taps are `half_taps`."""
-    first, stride, at = np.uint64(first), np.uint64(stride), np.uint64(at)
-    if taps.size == 2:
-        _three(flat, first, stride, taps, out, at, size)
-    elif taps.size > 2:
-        _nine(flat, first, stride, taps, out, at, size)
-        for k in range(5, taps.size, 4):
-            _four_more(flat, first, stride, taps, k, out, at, size)
-    else:
+    """Weighted sums of the cells around flat[first + j], `stride` apart, into out[at + j]; taps are `half_taps`.
+
+    In one piece: a function that hands arrays on within a branch counts their references each time.
+    """
+    first, s1, at = np.uint64(first), np.uint64(stride), np.uint64(at)
+    s2, s3, s4 = s1 + s1, s1 + s1 + s1, s1 + s1 + s1 + s1
+    if taps.size == 1:
         for j in range(size):
             out[at + np.uint64(j)] = flat[first + np.uint64(j)]
+    elif taps.size == 2:
+        t0, t1 = taps[0], taps[1]
+        for j in range(size):
+            k = first + np.uint64(j)
+            out[at + np.uint64(j)] = t0 * flat[k] + t1 * (flat[k - s1] + flat[k + s1])
+    else:
+        t0, t1, t2, t3, t4 = taps[0], taps[1], taps[2], taps[3], taps[4]
+        for j in range(size):
+            k = first + np.uint64(j)
+            near = t0 * flat[k] + t1 * (flat[k - s1] + flat[k + s1]) + t2 * (flat[k - s2] + flat[k + s2])
+            far = t3 * (flat[k - s3] + flat[k + s3]) + t4 * (flat[k - s4] + flat[k + s4])
+            out[at + np.uint64(j)] = near + far
+        for n in range(5, taps.size, 4):
+            _four_more(flat, first, s1, taps, n, out, at, size)
 
 
 @jit(forceinline=True)
