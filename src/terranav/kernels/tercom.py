@@ -13,7 +13,7 @@ from terranav.kernels.jit import jit
 from terranav.kernels.lattice import bilinear_lattice, whole_steps
 
 LINES = 16  # worked on at a time
-LINES_KEPT = 4  # the same where the differences of all points are kept, for their mean
+KEPT = 80_000  # differences of all points at most, kept for their mean: they stay in the second cache
 FREE = {"contract"}  # a product and a sum in one operation; NaN passes through it like any other
 ONE = np.uint64(1)  # an unsigned index needs no test for a negative one
 
@@ -191,7 +191,7 @@ def correlation_surface(values, frames, readings, lattice, absolute, remove_mean
     """
     north, east, n = -lattice[0], -lattice[1], readings.shape[0]
     step, size = _common_step(values, frames, north, east), east.size
-    lines = LINES_KEPT if remove_mean else LINES
+    lines = max(min(LINES, KEPT // (n * size)), 1) if remove_mean else LINES
     most = lines * size
     field, kept = np.empty((lines, size)), np.empty(n * most if remove_mean else 1)
     line = field.reshape(most)
