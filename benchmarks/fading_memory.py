@@ -58,7 +58,7 @@ def rows() -> list[Row]:
             "fading memory 201 x 201, map sampled",
             "cell",
             least["recall"],
-            (Peer("numpy", least["sampled"], 10.0),),
+            (Peer("numpy", least["sampled"], 5.0),),
             looked_up,
         ),
     ]

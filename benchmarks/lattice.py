@@ -33,7 +33,13 @@ def rows() -> list[Row]:
     bound = 8 * byte_ns(8 * SIZE * SIZE)
     return [
         _row(values, GEOGRAPHIC, "in degrees", Limit("2 fetches", 2 * near + bound, 1.3), 6.0),
-        _row(values, OWN, "of its own cells", Limit("4 multiply-adds", 4 * multiply_add_ns() + bound, 1.3), 4.0),
+        _row(
+            values,
+            OWN,
+            "of its own cells",
+            Limit("4 conversions, 4 multiply-adds", 8 * multiply_add_ns() + bound, 1.3),
+            4.0,
+        ),
         _row(values, PROJECTED, "projected", Limit("4 fetches", 4 * near + bound, 1.3), 4.0),
     ]
 

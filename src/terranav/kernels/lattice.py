@@ -79,15 +79,15 @@ def _up(values, row, first, size, out, at):
 
 @jit(fastmath=LERP)
 def _down(values, row, first, size, out, at):
-    """`_up` from the east."""
-    y, x, begin = np.uint64(int(row)), np.uint64(int(first)), np.uint64(at)
+    """`_up` from the east: read upwards and written downwards, so that one value is turned round and not four."""
+    y, x, end = np.uint64(int(row)), np.uint64(int(first) - size + 1), np.uint64(at + size - 1)
     u, v = row - np.floor(row), first - np.floor(first)
     a, b, c, d = (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v
     below, missing = y + ONE, 0
     for j in range(size):
-        k = x - np.uint64(j)
+        k = x + np.uint64(j)
         value = a * values[y, k] + b * values[y, k + ONE] + c * values[below, k] + d * values[below, k + ONE]
-        out[begin + np.uint64(j)] = value
+        out[end - np.uint64(j)] = value
         missing += 1 if value != value else 0
     return missing
 
