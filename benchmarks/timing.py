@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+SLACK = 0.7  # a ratio may fall to this share of what is meant on a busy machine before it counts as lost
+
 
 @dataclass(frozen=True)
 class Peer:
@@ -18,11 +20,19 @@ class Peer:
         Its time per unit of work [ns].
     goal : float
         How many times faster terranav means to be; 0 where nothing is claimed.
+    reached : float
+        How many times faster it can be so far, where that is below the goal: the ratio is held to this one.
     """
 
     name: str
     ns: float
     goal: float = 0.0
+    reached: float = 0.0
+
+    @property
+    def held_to(self) -> float:
+        """The least ratio before the row counts as lost."""
+        return SLACK * (self.reached or self.goal)
 
 
 @dataclass(frozen=True)
@@ -37,11 +47,19 @@ class Limit:
         Per unit of work [ns].
     goal : float
         How many times longer terranav means to take at most; 0 where nothing is claimed.
+    reached : float
+        As of a peer, where that is above the goal.
     """
 
     name: str
     ns: float
     goal: float = 0.0
+    reached: float = 0.0
+
+    @property
+    def held_to(self) -> float:
+        """The largest multiple before the row counts as lost."""
+        return (self.reached or self.goal) / SLACK
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ def test_a_row_says_ratio_limit_and_goal() -> None:
         (ROW, []),
         (Row("a step", "cell", 4.4, (Peer("numpy", 30.0, 10.0),)), ["a step: 6.8x numpy, held to 7.0x"]),
         (Row("a step", "cell", 2.2, (), Limit("arithmetic", 1.0, 1.5)), ["a step: 2.20x the limit, held to 2.14x"]),
+        (Row("a step", "cell", 3.0, (Peer("numpy", 30.0, 40.0, reached=12.0),)), []),
+        (Row("a step", "cell", 4.0, (Peer("numpy", 30.0, 40.0, reached=12.0),)), ["a step: 7.5x numpy, held to 8.4x"]),
         (Row("a step", "cell", 99.0, (Peer("numpy", 1.0),), Limit("arithmetic", 1.0)), []),
     ],
 )
@@ -43,11 +45,17 @@ def test_a_lost_ratio_is_exit_status_1(
     assert table.printed(["good"], as_json=True, out=tmp_path / "table.json") == 0
     said = json.loads(capsys.readouterr().out)
     assert said == json.loads((tmp_path / "table.json").read_text())
-    assert said["rows"][0]["peers"][0] == {"name": "numpy", "ns": 30.0, "ratio": 15.0, "goal": 10.0}
-    assert said["rows"][0]["limit"] == {"name": "arithmetic", "ns": 1.0, "times": 2.0, "goal": 1.5}
+    assert said["rows"][0]["peers"][0] == {"name": "numpy", "ns": 30.0, "ratio": 15.0, "goal": 10.0, "held_to": 7.0}
+    limit = said["rows"][0]["limit"]
+    assert limit == {"name": "arithmetic", "ns": 1.0, "times": 2.0, "goal": 1.5, "held_to": pytest.approx(1.5 / 0.7)}
     assert said["machine"]["cores"] >= 1
     assert table.printed(["good", "slow"]) == 1
     assert "held to 7.0x" in capsys.readouterr().err
+
+
+def test_a_goal_not_reached_says_so() -> None:
+    row = Row("a step", "cell", 2.0, (Peer("numpy", 30.0, 40.0, reached=12.0),))
+    assert table.lines(row)[1].endswith("(goal 40x, not reached)")
 
 
 def test_times_are_the_least_of_repeats_per_unit() -> None:
