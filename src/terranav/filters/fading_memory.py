@@ -34,7 +34,6 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from terranav.core.checks import finite
-from terranav.core.earth import shift
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m, started_over
@@ -43,6 +42,7 @@ from terranav.filters._fading_surface import Memory, reframed
 from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.fading_memory import log_posterior, moments, recall, rise
 from terranav.kernels.lattice import bilinear_lattice
+from terranav.maps.frame import LocalFrame
 from terranav.maps.map import Map
 from terranav.maps.noise import reading_sigma
 
@@ -148,11 +148,12 @@ class FadingMemory:
             gained = state.gained_m2 + self.ins.position_growth_m2(elapsed, dt)
             state = replace(state, epoch=epoch, gained_m2=gained)
         pairs = [(chart, m) for m in epoch.measurements for chart in self.maps if chart.kind == m.kind]
-        off_map = [bool(np.isnan(self._under(state, chart))) for chart, _ in pairs]
+        off_map: list[bool] = []
         nis: list[float] = []
         for chart, reading in pairs:
-            state, squared = self._remembered(state, chart, reading)
+            state, squared, known = self._remembered(state, chart, reading)
             nis += [squared] if math.isfinite(squared) else []
+            off_map.append(not known)
         if pairs:
             state = self._fixed(replace(state, last_reading=epoch))
         state = self._now(state)
@@ -199,42 +200,32 @@ class FadingMemory:
         rows, cols = (2 * count + 1).astype(int)
         return Memory(float(south), float(west), step, np.zeros((rows, cols)))
 
-    def _under(self, state: FadingMemoryState, chart: Map) -> float:
-        """The map's value where the vehicle is thought to be."""
-        assert state.epoch is not None
-        return float(chart.sample(*shift(state.epoch.lat_deg, state.epoch.lon_deg, *-state.mean_m)))
-
     def _remembered(
         self, state: FadingMemoryState, chart: Map, reading: Measurement
-    ) -> tuple[FadingMemoryState, float]:
-        """The state with one more reading in its memory, and the reading's NIS at the fix so far."""
+    ) -> tuple[FadingMemoryState, float, bool]:
+        """The state with one more reading in its memory, its NIS at the estimate, and if the map is known there."""
         epoch, memory = state.epoch, state.memory
         assert epoch is not None
         north, east = memory.north_m, memory.east_m
         radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
         frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
+        height, slope = _under(state.mean_m, chart, frame)
+        known = not math.isnan(height)
         sigma = reading_sigma(reading, chart, state.last_reading, epoch)
         after, coefficients = np.empty_like(memory.surface), np.stack([frame.row, frame.col])
         given = (reading.value, 1.0 / sigma**2)
         unknown = recall(chart.values, coefficients, (north, east), given, self.alpha, memory.surface, after)
         if unknown == after.size:  # nothing to compare with: not a reading
-            return state, math.nan
+            return state, math.nan, known
         missing = memory.missing
         if unknown or missing is not None:
             heights = np.empty_like(after)
             bilinear_lattice(chart.values, frame.row, frame.col, -north, -east, heights)
             missing = self.alpha * (0.0 if missing is None else missing) + np.isnan(heights)
-        patch, half = np.empty((3, 3)), 0.5 * chart.cell_m
-        around = np.array([-half, 0.0, half])
-        here = state.mean_m[0] + around, state.mean_m[1] + around
-        bilinear_lattice(chart.values, frame.row, frame.col, -here[0], -here[1], patch)
-        slope = np.array([patch[2, 1] - patch[0, 1], patch[1, 2] - patch[1, 0]]) / (2.0 * half)
-        slope[np.isnan(slope)] = 0.0
         memory = self._added(state, after, missing, slope / sigma)
-        innovation = reading.value - patch[1, 1]
-        if state.fix_m is None or not math.isfinite(innovation):
-            return replace(state, memory=memory), math.nan
-        alone = math.hypot(reading.sigma, chart.sigma)
+        if state.fix_m is None or not known:
+            return replace(state, memory=memory), math.nan, known
+        innovation, alone = reading.value - height, math.hypot(reading.sigma, chart.sigma)
         residual = innovation / alone
         memory = replace(
             memory,
@@ -244,7 +235,7 @@ class FadingMemory:
             judged=self.alpha * memory.judged + 1.0,
         )
         spread = float(slope @ state.cov_m2 @ slope)
-        return replace(state, memory=memory), float(innovation**2 / (alone**2 + spread))
+        return replace(state, memory=memory), float(innovation**2 / (alone**2 + spread)), known
 
     def _added(
         self, state: FadingMemoryState, surface: FloatArray, missing: FloatArray | None, told: FloatArray
@@ -356,3 +347,13 @@ class FadingMemory:
         memory = self._blank(state.prior, state.gained_m2 if state.prior.shape == "gaussian" else 0.0)
         blank = replace(state, memory=memory, fix_m=None, fix_cov_m2=None, judgement=started_over(state.judgement))
         return self._now(blank)
+
+
+def _under(mean_m: FloatArray, chart: Map, frame: LocalFrame) -> tuple[float, FloatArray]:
+    """The map at an INS error [m], NaN where it says nothing, and its slopes (2,) north and east, 0 where unknown."""
+    patch, half = np.empty((3, 3)), 0.5 * chart.cell_m
+    around = np.array([-half, 0.0, half])
+    bilinear_lattice(chart.values, frame.row, frame.col, -(mean_m[0] + around), -(mean_m[1] + around), patch)
+    slope = np.array([patch[2, 1] - patch[0, 1], patch[1, 2] - patch[1, 0]]) / (2.0 * half)
+    slope[np.isnan(slope)] = 0.0
+    return float(patch[1, 1]), slope
