@@ -234,8 +234,8 @@ def named(part: str, case_: Case) -> str:
 
 
 def rows() -> list[Row]:
-    usual, wide, large = case(201, 0.05, 12), case(201, 0.6, 12), case(1001, 0.6, 3)
+    usual, wide, large = case(201, 0.05, 20), case(201, 0.6, 20), case(1001, 0.6, 5)
     found = []
     for made, goals, repeats, goal in ((usual, (4.0, 60.0), 7, 2.5), (wide, (4.0, 60.0), 7, 2.5)):
         found += [whole(made, goals, repeats), alone(made, goal)]
-    return [*found, whole(large, (6.0, 80.0), 3), alone(large, 3.0)]
+    return [*found, whole(large, (6.0, 80.0), 2), alone(large, 3.0)]

@@ -206,7 +206,7 @@ class PointMass:
         """The density itself."""
         return Posterior(state.grid.north_m, state.grid.east_m, state.grid.density)
 
-    @property
+    @cached_property
     def _coarsest_m(self) -> float:
         return 0.5 * min(chart.cell_m for chart in self.maps)
 
@@ -287,12 +287,11 @@ class PointMass:
     ) -> Update:
         """Diffuse and weigh in one pass."""
         density, cell, south, west = grid.density, grid.cell_m, grid.south_m, grid.west_m
-        rows, cols = density.shape
-        north, east = abs(south + 0.5 * cell * (rows - 1)), abs(west + 0.5 * cell * (cols - 1))
-        radius = math.hypot(north + 0.5 * cell * (rows - 1), east + 0.5 * cell * (cols - 1))
+        high, wide = (0.5 * cell * (side - 1) for side in density.shape)
+        radius = math.hypot(abs(south + high) + high, abs(west + wide) + wide)
         frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
         out = np.empty_like(density)
-        known, nis, slope, *summary = advance(
+        found = advance(
             density,
             growth_m2[0] / (cell * cell),
             growth_m2[1] / (cell * cell),
@@ -302,8 +301,9 @@ class PointMass:
             (reading.value, sigma, RESOLVE, self.outlier_share, self.outlier_scale),
             out,
         )
+        known, nis, slope = found[:3]
         resolved = cell * sigma / (RESOLVE * slope) if slope > 0.0 else math.inf
-        return Update(Grid(south, west, cell, out), known, nis, resolved, Summary(*summary))
+        return Update(Grid(south, west, cell, out), known, nis, resolved, Summary._make(found[3:]))
 
     def _fitted(self, grid: Grid, summary: Summary, resolved_m: float) -> Grid:
         """The same density on a grid that fits it; the grid itself when it already does."""

@@ -81,10 +81,10 @@ def measured(density, place):
     """Summary of a density of any sum."""
     rows, cols = density.shape
     cell = place[2]
-    rows_mass, cols_mass, east = np.empty(rows), np.zeros(cols), from_middle(cols, cell)
+    rows_mass, cols_mass, east, line = np.empty(rows), np.zeros(cols), from_middle(cols, cell), np.empty(cols)
     flat, cross, power, step_n, step_e = density.reshape(density.size), 0.0, 0.0, 0.0, 0.0
     for i in range(rows):
-        mass, moment, p2, dn, de = measure_row(flat, i * cols, max(i - 1, 0) * cols, east, cols_mass)
+        mass, moment, p2, dn, de = measure_row(flat, i * cols, max(i - 1, 0) * cols, east, cols_mass, line, 0)
         rows_mass[i] = mass
         cross += moment * cell * (i - 0.5 * (rows - 1))
         power, step_n, step_e = power + p2, step_n + dn, step_e + de

@@ -111,11 +111,11 @@ def advance(density, growth_n, growth_e, place, values, frame, reading, out):
         slope, missing, voids = slope + sums[4], missing + max(sums[5], 0.0), voids or sums[5] >= 0.0
         for r in range(count):
             at = (r + 1) * width
-            copy_row(fresh, at, target, (i + r) * cols, cols)
             if voids:
+                copy_row(fresh, at, target, (i + r) * cols, cols)
                 continue
             before = at if i + r == 0 else at - width
-            mass, moment, p2, dn, de = measure_row(fresh, at, before, east, cols_mass)
+            mass, moment, p2, dn, de = measure_row(fresh, at, before, east, cols_mass, target, (i + r) * cols)
             rows_mass[i + r] = mass
             cross += moment * cell * (i + r - 0.5 * (rows - 1))
             power, step_n, step_e = power + p2, step_n + dn, step_e + de

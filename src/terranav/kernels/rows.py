@@ -176,16 +176,20 @@ def scale(flat, factor):
 
 
 @jit(fastmath=SUMS)
-def measure_row(flat, first, before, east, cols_mass):
-    """Add the row at flat[first:] to the column sums; its mass, its first moment, sum p^2, and sum (dp)^2 both ways.
+def measure_row(flat, first, before, east, cols_mass, out, at):
+    """Copy the row at flat[first:] to out[at:] and add it to the column sums.
 
-    The changes are those to the row at flat[before:] and along the row, where the first cell has none.
+    Returns
+    -------
+    mass, first moment, sum p^2, and sum (dp)^2 to the row at flat[before:] and along the row, where the first cell has
+    no change
     """
     mass, moment, power, step_n, step_e, last = 0.0, 0.0, 0.0, 0.0, 0.0, flat[first]
-    here, below = np.uint64(first), np.uint64(before)
+    here, below, to = np.uint64(first), np.uint64(before), np.uint64(at)
     for j in range(east.size):
         k = np.uint64(j)
         p = flat[here + k]
+        out[to + k] = p
         mass += p
         moment += p * east[j]
         cols_mass[j] += p
