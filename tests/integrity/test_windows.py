@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.stats import binom, chi2
 from terranav.core.records import Epoch, Innovation
 from terranav.integrity import windows
 from terranav.integrity.windows import LENGTHS, LONGEST, Window, coloured, contradiction, count_limit, excess, nis_limit
+from terranav.kernels import integrity as kernels
 
 EPOCH = Epoch(0.0, 45.0, 10.0, 1000.0)
 RUNS = 20_000
@@ -102,3 +104,44 @@ def test_a_window_forgets() -> None:
     assert len(window.cleared()) == 0
     assert window.cleared().seen
     assert np.isnan(window.cleared().mean_nis())
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("size", [0, 1, 5, 59, 60])
+def test_the_kernels_of_a_window_are_numpys(size: int, compiled: bool) -> None:
+    def of(kernel: Any) -> Any:
+        return kernel if compiled else kernel.py_func
+
+    rng = np.random.default_rng(size)
+    rows, row = np.abs(rng.normal(0.0, 3.0, (size, 8))) + 0.1, np.arange(8.0) + 1.0
+    after, nis = of(kernels.appended)(rows, row, LONGEST, 100.0)
+    expected = np.vstack([rows[1 - LONGEST :], row])
+    np.testing.assert_array_equal(after, expected)
+    np.testing.assert_allclose(nis, np.minimum(expected[:, 0] ** 2 / expected[:, 1], 100.0), rtol=1e-14)
+    mean, far = of(kernels.latest)(nis, 8)
+    assert mean == pytest.approx(nis[-8:].mean(), rel=1e-12)
+    assert far == (nis[-8:] > 4.0).sum()
+    assert np.isnan(of(kernels.latest)(nis[:0], 8)[0])
+    assert of(kernels.clipped_mean)(nis, 2.0) == pytest.approx(np.minimum(nis, 2.0).mean(), rel=1e-12)
+    if size > 4:
+        z = np.minimum(after[:, 0] / np.sqrt(after[:, 1]), 3.0)
+        lagged = [z[lag:] @ z[:-lag] / (z @ z) for lag in range(1, 5)]
+        np.testing.assert_allclose(of(kernels.autocorrelation)(after, 4, 3.0), lagged, rtol=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_tail_of_a_cloud_leaves_the_risk_outside(compiled: bool) -> None:
+    rng = np.random.default_rng(3)
+    north, east, weight = rng.normal(5.0, 30.0, 5000), rng.normal(-2.0, 10.0, 5000), rng.random(5000)
+    north[:3] += 2000.0
+    weight /= weight.sum()
+    kernel = kernels.tail if compiled else kernels.tail.py_func
+    core, reach, far, sigma2 = kernel(north, east, weight, np.array([5.0, -2.0]), 0.01)
+    distance = np.hypot(north - 5.0, east + 2.0)
+    order = np.argsort(distance)
+    sums = np.cumsum(weight[order])
+    median, quantile = (distance[order][np.searchsorted(sums, share)] for share in (0.5, 0.99))
+    assert median <= core <= 1.06 * median
+    assert quantile <= reach <= 1.06 * quantile
+    assert far == pytest.approx(weight[:3].sum(), rel=1e-9)
+    assert sigma2 == pytest.approx(weight @ distance**2, rel=1e-12)

@@ -135,12 +135,6 @@ def test_compare_gives_the_mean_and_the_variance_of_what_is_known(case: Case) ->
     assert np.isnan(nothing[1:3]).all()
 
 
-def test_effective_number() -> None:
-    assert kernels.effective(np.full(50, 0.02)) == pytest.approx(50.0)
-    assert kernels.effective(np.array([0.5, 0.25, 0.25, 0.0])) == pytest.approx(1.0 / 0.375)
-    assert kernels.effective(np.eye(7)[3]) == 1.0
-
-
 def test_evidence_is_the_likelihood_of_a_mixture_under_each_scale(case: Case) -> None:
     scales, out = 2.0 ** np.arange(-2.0, 3.0), np.empty(5)
     noise, common, reach = np.array([16.0, 25.0]), np.array([9.0, 4.0]), 8.0
@@ -381,7 +375,6 @@ def test_the_same_without_compilation(case: Case) -> None:
         advanced(case, PHI, SPREAD), advanced(case, PHI, SPREAD, kernels.advance.py_func), rtol=1e-10, atol=1e-9
     )
     white, common = np.array([16.0, 25.0]), np.array([9.0, 4.0])
-    assert kernels.effective(case.weight) == pytest.approx(kernels.effective.py_func(case.weight), rel=1e-12)
     assert kernels.area(case.cloud, case.weight) == pytest.approx(kernels.area.py_func(case.cloud, case.weight))
     first, second = np.empty(3), np.empty(3)
     for out, kernel in ((first, reading.evidence), (second, reading.evidence.py_func)):

@@ -267,15 +267,6 @@ def regime(bad, share, keep, out):
             after[k] = share + stay * (row[k] - share)
 
 
-@jit(fastmath=SUMS)
-def effective(weight):
-    """Effective number of particles, 1 / sum(w^2); no BLAS, which would wake its threads for a long vector."""
-    power = 0.0
-    for k in range(weight.size):
-        power += weight[k] * weight[k]
-    return 1.0 / power
-
-
 @jit
 def area(cloud, weight):
     """Area that the positions of a cloud (d, m) cover: exp(entropy) of their histogram times its bin [m^2]."""
