@@ -28,6 +28,7 @@ from terranav.core.checks import finite
 from terranav.core.errors import ConfigError, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
+from terranav.core.memory import need
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters import _blocks
 from terranav.filters._maps import one_map_a_kind
@@ -40,6 +41,7 @@ from terranav.maps.noise import reading_sigma
 FloatArray = NDArray[np.float64]
 
 LEAST_PARTICLES = 100
+PARTICLE_BYTES = 120  # that a step takes at its most
 MOST_PARTICLES = 10_000_000
 
 
@@ -115,6 +117,7 @@ class Particle:
     def init(self, prior: Prior, rng: Generator) -> ParticleState:
         """A cloud drawn from the prior."""
         count = self.particles
+        need(PARTICLE_BYTES * count, f"particle: particles = {count}")
         weight = np.full(count, 1.0 / count)
         if prior.shape == "gaussian":
             drawn, target = standard_normal(rng, (count, 2)), prior.cov_m2

@@ -19,6 +19,7 @@ from terranav.core.checks import finite
 from terranav.core.errors import StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
+from terranav.core.memory import need
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.filters._maps import one_map_a_kind
 from terranav.kernels.density import border, diffused, measured
@@ -30,6 +31,7 @@ from terranav.maps.noise import reading_sigma
 
 FloatArray = NDArray[np.float64]
 
+CELL_BYTES = 40  # that a step takes at its most
 TAIL = 1e-7  # mass near the grid's border that makes the grid grow
 REACH = 5.5  # a Gaussian is carried out to this many sigmas
 RESOLVE = 0.6  # 1-sigma of a likelihood ridge that a grid carries to 0.2 % [cells]
@@ -150,6 +152,8 @@ class PointMass:
         cell = min(cell, max(float(sigma.min()) / WIDTH_WANTED, self._finest_m))
         cell = max(cell, math.sqrt(4.0 * float(reach.prod()) / (0.9 * self.max_cells)))
         half = np.maximum(np.ceil(reach / cell), 3).astype(int)
+        rows, cols = (2 * half + 1).tolist()
+        need(CELL_BYTES * rows * cols, f"pointmass: grid of {rows} x {cols} cells for max_cells = {self.max_cells:g}")
         south, west = prior.mean_m - half * cell
         north = south + cell * np.arange(2 * half[0] + 1) - prior.mean_m[0]
         east = west + cell * np.arange(2 * half[1] + 1) - prior.mean_m[1]
