@@ -10,7 +10,7 @@ from terranav.kernels.fastmath import fast_exp
 from terranav.kernels.jit import jit
 from terranav.kernels.marginalized import BLOCK, SUMS
 from terranav.kernels.sampling import bilinear_at
-from terranav.kernels.sloped import scratch, sloped
+from terranav.kernels.sloped import sloped
 
 BINS = 200  # of the distance from the mean, in steps of 5 %
 STEP = 0.05
@@ -40,7 +40,8 @@ def weigh_rivals(values, frame, origin, node, shift, bias, odds, recent, numbers
     out : (5, n) written: shift north and east, bias, odds, recent
     """
     value, white, common, cell2, tether, least, fading = numbers
-    work, found, at, block = scratch(), np.empty((3, BLOCK)), np.empty((2, BLOCK)), np.empty((2, BLOCK))
+    work = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32), np.empty((3, BLOCK))
+    found, at, block = np.empty((3, BLOCK)), np.empty((2, BLOCK)), np.empty((2, BLOCK))
     first = 0.0
     for start in range(0, odds.size, BLOCK):
         stop = min(start + BLOCK, odds.size)

@@ -18,14 +18,6 @@ BLOCK = 1024
 SUMS = {"contract", "reassoc"}  # sums in any order, so that they run over vector registers; NaN keeps its meaning
 
 
-@jit
-def block_of(states):
-    """Scratch for `add_moments`: a row a state, then one of ones, then zeros up to a multiple of four."""
-    block = np.zeros((states // 4 * 4 + 4, BLOCK))
-    block[states] = 1.0
-    return block
-
-
 @jit(fastmath=SUMS)
 def add_moments(block, weight, sums):
     """Add weighted sums: sums[i, j] += sum(w x_i x_j), at least for j <= i.
@@ -34,7 +26,7 @@ def add_moments(block, weight, sums):
 
     Parameters
     ----------
-    block : (n, BLOCK) float64, n a multiple of four; its row of ones makes means
+    block : (n, BLOCK) float64, n a multiple of four: a row a state, one of ones, which makes means, and zeros
     weight : (k,) float64, k <= BLOCK
     sums : (n, n) float64, added to
     """
@@ -189,7 +181,8 @@ def advance(cloud, weight, mean, phi, spread, noise, out):
     """
     d, m = cloud.shape
     n = COMMON + 2
-    block, white, used = block_of(n), np.empty((2, BLOCK)), np.empty((d, d + 1), np.int64)
+    block, white, used = np.zeros((n // 4 * 4 + 4, BLOCK)), np.empty((2, BLOCK)), np.empty((d, d + 1), np.int64)
+    block[n] = 1.0
     expected, centre, sums = np.zeros(n), np.zeros(n), np.zeros((len(block), len(block)))
     square, own = np.empty((n, n)), np.empty((2, n))
     _factors(phi, used)
@@ -239,7 +232,8 @@ def _combined(cloud, noise, start, factors, centre, out):
 def moments(cloud, weight):
     """Mean (d,) and covariance (d, d) of a cloud (d, m) under the weights (m,)."""
     d, m = cloud.shape
-    mean, cov, centre, block = np.zeros(d), np.zeros((d, d)), np.empty(d), block_of(d)
+    mean, cov, centre, block = np.zeros(d), np.zeros((d, d)), np.empty(d), np.zeros((d // 4 * 4 + 4, BLOCK))
+    block[d] = 1.0
     sums = np.zeros((len(block), len(block)))
     for i in range(d):
         row, total = cloud[i], 0.0

@@ -8,9 +8,9 @@ import numpy as np
 
 from terranav.kernels.fastmath import fast_exp
 from terranav.kernels.jit import jit
-from terranav.kernels.marginalized import BLOCK, SUMS, add_moments, block_of, centred
+from terranav.kernels.marginalized import BLOCK, SUMS, add_moments, centred
 from terranav.kernels.matrices import bayes
-from terranav.kernels.sloped import scratch, sloped
+from terranav.kernels.sloped import sloped
 
 INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
 SAMPLED = 512  # particles that are enough to tell the noise by
@@ -37,7 +37,8 @@ def compare(values, frame, cloud, weight, value, bias, residual, slope2):
     slope2 : its mean there
     """
     known, mean, square, steep = 0.0, 0.0, 0.0, 0.0
-    work, found = scratch(), np.empty((3, BLOCK))
+    work = np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32), np.empty((3, BLOCK))
+    found = np.empty((3, BLOCK))
     for start in range(0, residual.size, BLOCK):
         stop = min(start + BLOCK, residual.size)
         size = stop - start
@@ -153,7 +154,8 @@ def weigh(cloud, weight, bad, residual, slope2, noise, variance, reach, gain, ce
     if silent > 0:
         for k in range(m):
             out_weight[k] = out_weight[k] if residual[k] == residual[k] else weight[k] * average
-    power, block = 0.0, block_of(d)
+    power, block = 0.0, np.zeros((d // 4 * 4 + 4, BLOCK))
+    block[d] = 1.0
     sums = np.zeros((len(block), len(block)))
     for start in range(0, m, BLOCK):
         stop = min(start + BLOCK, m)

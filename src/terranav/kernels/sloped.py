@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from terranav.kernels.jit import jit
-from terranav.kernels.marginalized import BLOCK, SUMS
+from terranav.kernels.marginalized import SUMS
 from terranav.kernels.sampling import bilinear_at
-
-
-@jit
-def scratch():
-    """What `sloped` needs to work in: cells, their corners, and places within them."""
-    return np.empty(BLOCK, np.uint64), np.empty((4, BLOCK), np.float32), np.empty((3, BLOCK))
 
 
 @jit(fastmath=SUMS)
@@ -24,7 +18,7 @@ def sloped(values, frame, north, east, work, found):
     values : (rows, cols) float32, NaN where void
     frame : (2, 6) float64, row and column coefficients of the LocalFrame at the indicated position
     north, east : (k,) float64, k <= BLOCK, error of the INS [m]; the true place is at (-north, -east)
-    work : of `scratch`
+    work : (BLOCK,) uint64, (4, BLOCK) float32, (3, BLOCK) float64, scratch: cells, their corners, places within them
     found : (3, BLOCK) float64, written: value, NaN off the map and at voids; slope north, east [unit/m], finite
     """
     rows, cols = values.shape

@@ -148,21 +148,8 @@ def _symmetric(q):
 
 
 @jit
-def discretised(f, g, dt):
-    """Transition and noise covariance over dt of x' = f x + g white noise: series over a part of dt, then doubled.
-
-    For systems as slow as an INS, whose rates SERIES_S is made for. The quadrature over four Gauss-Legendre nodes keeps
-    q positive whatever its error.
-
-    Parameters
-    ----------
-    f : (n, n), g : (n, k)
-    dt : float [s]
-
-    Returns
-    -------
-    phi, q : (n, n)
-    """
+def _series(f, g, dt):
+    """What `discretised` says."""
     n, k = g.shape
     doublings = math.ceil(math.log2(max(dt, SERIES_S) / SERIES_S))
     h = dt / 2.0**doublings
@@ -209,6 +196,25 @@ def discretised(f, g, dt):
 
 
 @jit
+def discretised(f, g, dt):
+    """Transition and noise covariance over dt of x' = f x + g white noise: series over a part of dt, then doubled.
+
+    For systems as slow as an INS, whose rates SERIES_S is made for. The quadrature over four Gauss-Legendre nodes keeps
+    q positive whatever its error.
+
+    Parameters
+    ----------
+    f : (n, n), g : (n, k)
+    dt : float [s]
+
+    Returns
+    -------
+    phi, q : (n, n)
+    """
+    return _series(f, g, dt)  # numba cannot always give back arrays of what other kernels call, too
+
+
+@jit
 def transition(start, end, dt, position, accel, gyro):
     """Step the 13 states over dt > 0 from one flight (8,) to the next; the densities are those of `noise_input`.
 
@@ -247,7 +253,7 @@ def transition(start, end, dt, position, accel, gyro):
         for i in range(2):
             for j in range(3):
                 rate[2 + i, 4 + j] += gained[i, j]
-        step_phi, step_q = discretised(rate, shaped, dt / parts)
+        step_phi, step_q = _series(rate, shaped, dt / parts)
         product(step_phi, phi, half)
         phi[:] = half
         product(step_phi, q, half)
