@@ -47,6 +47,7 @@ from terranav.core.errors import ConfigError, StateError
 from terranav.core.frozen import changed
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import Judge, Judgement, judge, largest_sigma_m
+from terranav.core.memory import need
 from terranav.core.records import Epoch, Estimate, Innovation, Measurement, Posterior, Prior
 from terranav.filters import _noise_scale as noise_scale
 from terranav.filters import _walk_scale as walk_scale
@@ -62,6 +63,7 @@ from terranav.maps.map import Map
 FloatArray = NDArray[np.float64]
 
 LEAST_PARTICLES, MOST_PARTICLES = 100, 10_000_000
+STATE_BYTES = 64  # that a step takes at its most for each state of a particle
 RESAMPLE_SHARE = 0.5  # of the effective number
 FINEST_CELLS = 0.25  # a coarse cloud gets particles until they are so many cells apart
 SLOPE_MEMORY = 300.0  # readings over which the slope along the track is averaged
@@ -270,8 +272,9 @@ class Marginalized:
         whole = model.initial_covariance(prior_covariance(state.prior))
         common = whole.copy()
         common[:2, :2] = 0.0
-        bad = np.full(len(self.maps), self.outlier_share)
-        cloud = drawn(state.prior, common, self._count(prior_area(state.prior)), bad, rng)
+        bad, count = np.full(len(self.maps), self.outlier_share), self._count(prior_area(state.prior))
+        need(STATE_BYTES * model.size * count, f"marginalized: {count} particles of {model.size} states")
+        cloud = drawn(state.prior, common, count, bad, rng)
         cov, walk = cloud.cov + common, walk_scale.stopped(state.walk)
         return replace(state, cloud=cloud, pending=None, mean=cloud.mean, cov=cov, unaided=whole, walk=walk)
 

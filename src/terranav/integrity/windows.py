@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, chi2
+from scipy.special import bdtrc, chdtri  # scipy.stats takes longer to load than a short flight to fly
 
 from terranav.core.records import Epoch, Innovation
 from terranav.kernels import integrity as kernels
@@ -173,9 +173,9 @@ def nis_limit(readings: int, false_alarm: float) -> float:
 @lru_cache(maxsize=512)
 def count_limit(readings: int, false_alarm: float) -> int:
     """Fewest readings beyond two sigma that healthy ones reach with at most this probability."""
-    return int(binom.isf(false_alarm, readings, ALLOWED)) + 1
+    return next(k for k in range(readings + 1) if bdtrc(k, readings, ALLOWED) <= false_alarm) + 1
 
 
 @lru_cache(maxsize=512)
 def _chi2_quantile(freedom: int, beyond: float) -> float:
-    return float(chi2.isf(beyond, freedom))
+    return float(chdtri(freedom, beyond))

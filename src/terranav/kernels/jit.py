@@ -2,7 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+from pathlib import Path
+
 import numba
+
+
+def _sources():
+    """Digest of all kernels' sources: a compiled kernel holds what it calls, in whatever module that is."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+_SOURCES = _sources()
 
 
 def jit(function=None, *, fastmath=False, forceinline=False):
@@ -22,6 +37,10 @@ def jit(function=None, *, fastmath=False, forceinline=False):
         return lambda one: jit(one, fastmath=fastmath, forceinline=forceinline)
     told = {"nogil": True, "error_model": "numpy", "fastmath": fastmath, "forceinline": forceinline}
     try:
-        return numba.njit(cache=True, **told)(function)
+        compiled = numba.njit(cache=True, **told)(function)
     except RuntimeError:  # numba: "no locator available", neither the package nor the user cache can be written
         return numba.njit(**told)(function)
+    with contextlib.suppress(AttributeError):  # not compiled, or not kept; numba looks at the kernel's own file alone
+        kept = compiled._cache._cache_file
+        kept._source_stamp = (kept._source_stamp, _SOURCES)
+    return compiled
