@@ -29,7 +29,7 @@ RUNS = (1, 10, 100, 1_000)
 
 def rows() -> Iterator[Row]:
     chart = ground(1201)
-    yield from _cells(chart)
+    yield from _cells(ground(3401))  # larger than the largest grid: beyond the edge a place costs more
     yield from _particles("particle", chart, PARTICLES)
     yield from _particles("marginalized", chart, PARTICLES[:-1])
     yield from _maps()
@@ -122,6 +122,7 @@ def flight(chart: tn.Map, epochs: int) -> tn.Recording:
 
 def _epochs(chart: tn.Map) -> Iterator[Row]:
     still = replace(INS, velocity_sigma_mps=0.0)
+    tn.run("marginalized", flight(chart, 60), chart, ins=still)  # loads the kernels
     for count in EPOCHS:
         rec = flight(chart, count)
         seconds = _seconds(partial(tn.run, "marginalized", rec, chart, ins=still))
@@ -134,6 +135,7 @@ def _runs(chart: tn.Map) -> Iterator[Row]:
     def one(k: int, seed: np.random.SeedSequence) -> float:
         return float(tn.run("pointmass", rec, chart, ins=INS, seed=int(seed.generate_state(1)[0])).cov_m2[-1, 0, 0])
 
+    one(0, np.random.SeedSequence(0))
     for n in RUNS:
         seconds = _seconds(partial(monte_carlo, one, n, executor=Threads()))
         yield Row(f"pointmass on all cores, {n:,} runs of 60 epochs", "run", 1e9 * seconds / n)

@@ -206,8 +206,13 @@ def whole(case_: Case, goals: tuple[float, float], repeats: int) -> Row:
     least = least_ns(calls, case_.size**2 * len(case_.epochs), repeats)
     ours = least.pop("ours")
     wanted = {name: goals[name.startswith("Stone")] for name in least if name.endswith("only")}
-    peers = tuple(Peer(name, ns, wanted.get(name, 0.0)) for name, ns in least.items())
+    peers = tuple(Peer(name, ns, wanted.get(name, 0.0), reached(name, case_)) for name, ns in least.items())
     return Row(named("step of the estimator", case_), "cell", ours, peers)
+
+
+def reached(name: str, case_: Case) -> float:
+    """Where a goal is not reached: three grids beyond the near caches, which Stone Soup's arithmetic hides."""
+    return 65.0 if name.startswith("Stone") and case_.size > 1000 else 0.0
 
 
 def alone(case_: Case, goal: float) -> Row:

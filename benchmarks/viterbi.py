@@ -35,7 +35,7 @@ LEAST_OPERATIONS = 26.0  # eight comparisons, maxima and choices, two sums: max_
 
 
 def rows() -> list[Row]:
-    cases = ((401, "integral_gaussian", 17.0), (401, "gaussian", 17.0), (201, "gaussian", 7.0))
+    cases = ((401, "integral_gaussian", 13.0), (401, "gaussian", 12.0), (201, "gaussian", 7.0))
     return [*(_step(*case) for case in cases), _recursion(401)]
 
 
