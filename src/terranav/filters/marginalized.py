@@ -138,7 +138,7 @@ class Marginalized:
     maps: tuple[Map, ...]
     ins: InsGrade
     particles: int = 20_000
-    least_particles: int = 4_000
+    least_particles: int = 8_000
     outlier_share: float = 0.05
     outlier_scale: float = 3.0
     blur_cells: float = 0.1
