@@ -7,15 +7,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from terranav.kernels.fastmath import fast_exp
+from terranav.kernels.fastmath import fast_exp, fast_log
 from terranav.kernels.jit import jit
 
 INTEGRAL, GAUSSIAN, LAPLACE, STUDENT_T, MIXTURE = range(5)
 _SQRT_HALF = math.sqrt(0.5)
-_BITS_OF_SQRT_HALF, _MANTISSA = np.int64(0x3FE6A09E667F3BCD), np.int64(52)
-_LN2 = math.log(2.0)
 _SHIFT, _SPAN = 4.4144, 7.4144  # q = 1 / (x + _SHIFT), t = 1 - _SPAN q: x from -1/sqrt(2) to infinity, t from -1 to 1
 _E = (
     1.327186135319295, -1.661837913358212, 1.8235162029861869, -1.753890925407733, 1.4732067909684483,
@@ -24,23 +20,6 @@ _E = (
     -6.039165083848751e-05, -2.015627702947237e-05, 1.2822130188442736e-05, 1.3666840201096448e-06,
     -1.9165443597190593e-06, -4.937164229560905e-08, 1.6791354176774657e-07,
 )  # fmt: skip
-
-
-@jit(forceinline=True, fastmath={"contract"})
-def fast_log(x):
-    """ln(x) for normal x > 0 to a relative error below 1e-14, near x = 1 too.
-
-    x = 2^e m, m in [1/sqrt(2), sqrt(2)); ln(m) = 2 artanh(s), s = (m - 1) / (m + 1), by its series to s^19.
-    """
-    bits = np.float64(x).view(np.int64)
-    e = (bits - _BITS_OF_SQRT_HALF) >> _MANTISSA
-    m = np.int64(bits - (e << _MANTISSA)).view(np.float64)
-    s = (m - 1.0) / (m + 1.0)
-    z = s * s
-    z2 = z * z
-    p = (2.0 / 13.0 + z * (2.0 / 15.0)) + z2 * (2.0 / 17.0 + z * (2.0 / 19.0))
-    p = (2.0 / 5.0 + z * (2.0 / 7.0)) + z2 * ((2.0 / 9.0 + z * (2.0 / 11.0)) + z2 * p)
-    return e * _LN2 + s * ((2.0 + z * (2.0 / 3.0)) + z2 * p)
 
 
 @jit(forceinline=True, fastmath={"contract"})

@@ -80,18 +80,7 @@ class Georeference:
         return a * x + b * y + c, d * x + e * y + f
 
     def cells(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Fractional rows and columns of positions, (0.0, 0.0) being the centre of the first cell.
-
-        Parameters
-        ----------
-        lat_deg, lon_deg : array_like, shapes that broadcast [deg]
-            Longitudes may run from -180 to 180 or from 0 to 360, whatever the map's own axis does.
-
-        Returns
-        -------
-        row, col : ndarray [cells]
-            Not finite where the projection knows no such place.
-        """
+        """As `Map.cells`."""
         lat, lon = np.broadcast_arrays(np.asarray(lat_deg, dtype=np.float64), np.asarray(lon_deg, dtype=np.float64))
         x, y = (np.asarray(axis) for axis in self.projection.forward(lat, lon))
         if self.projection.geographic:
@@ -101,16 +90,7 @@ class Georeference:
             return np.asarray(i[3] * x + i[4] * y + i[5]), np.asarray(i[0] * x + i[1] * y + i[2])
 
     def local_frame(self, lat_deg: float, lon_deg: float, radius_m: float = 5000.0) -> LocalFrame:
-        """The map's rows and columns as a quadratic in metres north and east of a place.
-
-        Good to 0.1 cell within `radius_m` for radii up to 20 km, cells of 30 m and latitudes below 80 degrees.
-
-        Parameters
-        ----------
-        lat_deg, lon_deg : float [deg]
-        radius_m : float [m]
-            How far from the place it will be used.
-        """
+        """As `Map.local_frame`."""
         if self.projection.plain:
             middle = self.centre_xy[0]
             return geographic_frame(lat_deg, middle + (lon_deg - middle + 180.0) % 360.0 - 180.0, self.inverse)
