@@ -1,0 +1,393 @@
+"""Where on a map a fix is possible: what a straight leg over each place, on each heading, would make of the position.
+
+For every block of cells and every heading, a leg of one length is flown that ends (or starts) there. It begins with the
+prior of an INS grade; its readings and drift are those of `terranav.planning.bound`, the same states, recursion and
+information of a reading, so a figure here is the Cramer-Rao bound of that leg and no estimator does better:
+
+- the INS: `terranav.ins.error_state` at the level 'position' or 'schuler', process noise and all;
+- the map error: a state that changes along the track with covariance sigma^2 exp(-distance / correlation length), so
+  that readings over the same wrong ground count once. Roughly, of n readings d apart n d / (d + 2 length) count against
+  the map error; the state does that without the rule;
+- the common bias (barometer, tide) and its walk, outliers and blur as in the filter `marginalized`.
+
+The bound is that of small errors: it does not know of the other valley that looks the same. `self_similarity` does.
+
+What is approximate: a leg ends within half a block of its place, its length is a whole number of steps of one block
+(root 2 of that on the diagonal), readings stand evenly on a step and carry the information of rate x time whatever
+their number, at most two a cell; north and east are those of the middle latitude of the map, and no vehicle turns, so
+that tilt and accelerometer bias are one state. All windows of a line share their work (`terranav.kernels.suitability`),
+so the time is linear in the cells of the map whatever the leg's length.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terranav.core.checks import finite
+from terranav.core.earth import metres_per_degree, shift
+from terranav.core.errors import ConfigError, DataError
+from terranav.core.ins_grade import InsGrade
+from terranav.core.records import Epoch, Prior
+from terranav.filters.marginalized import Marginalized
+from terranav.ins.error_state import ErrorModel
+from terranav.kernels.suitability import entropies, likeness, windows
+from terranav.maps.map import Map
+from terranav.planning.bound import mixture_information, patch_slope
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+MOST_BLOCKS = 4_000_000
+MOST_STEPS = 20_000  # of one leg
+CHUNK = 200_000  # readings looked up at a time
+PATCH_BLOCKS = 3  # half the side of the patch that statistics are taken over
+MOST_REACH = 6  # places looked at on either side for one that is alike
+
+
+@dataclass(frozen=True)
+class LegSettings:
+    """The sensor, the vehicle and the legs.
+
+    Attributes
+    ----------
+    sensor_sigma : float
+        1-sigma of a reading [unit of the map], > 0.
+    rate_hz : float
+        Readings a second, > 0.
+    speed_mps : float
+        Ground speed, > 0.
+    distance_m : float
+        Length of a leg, > 0.
+    headings : int
+        How many, evenly around from north, 1 to 72.
+    block : int
+        Side of a block [cells], >= 1.
+    anchor : 'end' or 'start'
+        Whether a leg ends or starts at its place.
+
+    Raises
+    ------
+    ConfigError
+        For a value out of its range.
+    """
+
+    sensor_sigma: float = 5.0
+    rate_hz: float = 1.0
+    speed_mps: float = 60.0
+    distance_m: float = 10_000.0
+    headings: int = 8
+    block: int = 4
+    anchor: str = "end"
+
+    def __post_init__(self) -> None:
+        for name in ("sensor_sigma", "rate_hz", "speed_mps", "distance_m"):
+            finite(f"suitability {name}", getattr(self, name), above=0.0)
+        for name, most in (("headings", 72), ("block", 1000)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+                raise ConfigError(f"suitability {name} is {value!r}, expected a whole number from 1 to {most}")
+        if self.anchor not in ("end", "start"):
+            raise ConfigError(f"suitability anchor is {self.anchor!r}, expected 'end' or 'start'")
+
+
+@dataclass(frozen=True, eq=False)
+class Suitability:
+    """North-up grids over a map: rows run from north to south, columns from west to east.
+
+    Attributes
+    ----------
+    lat_deg : (rows,), lon_deg : (cols,) [deg]
+        Of the middle of each block; evenly spaced.
+    block_m : float
+        Side of a block [m].
+    headings_deg : (headings,) [deg]
+    sigma_m : (headings, rows, cols) float32 [m]
+        1-sigma along the longest axis of the position error; NaN where the map does not hold the whole leg.
+    drms_m : (headings, rows, cols) float32 [m]
+    roughness : (rows, cols) float32 [unit/m]
+        Root mean square slope of the ground around.
+    correlation_m : (rows, cols) float32 [m]
+        Of the ground around: 2 std / roughness, the length L of a field with covariance std^2 exp(-(r/L)^2).
+    entropy_bits : (rows, cols) float32
+        Of the heights around, in bins as wide as a reading's error with the map's.
+    self_similarity : (rows, cols) float32
+        How alike the most alike other place within two sigma of the prior is, 1 the same
+        (`kernels.suitability.likeness`).
+    settings : LegSettings
+    ins : InsGrade
+    """
+
+    lat_deg: FloatArray
+    lon_deg: FloatArray
+    block_m: float
+    headings_deg: FloatArray
+    sigma_m: Float32Array
+    drms_m: Float32Array
+    roughness: Float32Array
+    correlation_m: Float32Array
+    entropy_bits: Float32Array
+    self_similarity: Float32Array
+    settings: LegSettings
+    ins: InsGrade
+
+    @property
+    def worst_m(self) -> FloatArray:
+        """(rows, cols) largest `sigma_m` of the headings that the map allows, NaN without one."""
+        high = np.where(np.isnan(self.sigma_m), -np.inf, self.sigma_m).max(axis=0)
+        return np.where(np.isfinite(high), high, np.nan).astype(np.float64)
+
+    @property
+    def best_m(self) -> FloatArray:
+        """(rows, cols) smallest `sigma_m`, NaN without one."""
+        low = np.where(np.isnan(self.sigma_m), np.inf, self.sigma_m).min(axis=0)
+        return np.where(np.isfinite(low), low, np.nan).astype(np.float64)
+
+    @property
+    def median_m(self) -> FloatArray:
+        """(rows, cols) median of `sigma_m` over the headings that the map allows, NaN without one."""
+        ranked, known = np.sort(self.sigma_m, axis=0), np.isfinite(self.sigma_m).sum(axis=0)  # NaN sorts last
+        low, high = np.maximum((known - 1) // 2, 0)[None], np.maximum(known // 2, 0)[None]
+        high = np.minimum(high, len(ranked) - 1)
+        pair = np.take_along_axis(ranked, low, 0)[0] + np.take_along_axis(ranked, high, 0)[0]
+        return np.where(known > 0, 0.5 * pair, np.nan).astype(np.float64)
+
+    @property
+    def best_heading_deg(self) -> FloatArray:
+        """(rows, cols) heading of the smallest `sigma_m` [deg], NaN without one."""
+        chosen = np.where(np.isnan(self.sigma_m), np.inf, self.sigma_m).argmin(axis=0)
+        return np.where(np.isnan(self.best_m), np.nan, self.headings_deg[chosen])
+
+    def share_within(self, limit_m: float) -> dict[str, float]:
+        """Of the blocks with a leg, the share whose best, median and worst heading stays within a limit [m]."""
+        known = np.isfinite(self.best_m)
+        if not known.any():
+            return {"best": math.nan, "median": math.nan, "worst": math.nan}
+        grids = {"best": self.best_m, "median": self.median_m, "worst": self.worst_m}
+        return {name: float((grid[known] <= limit_m).mean()) for name, grid in grids.items()}
+
+
+def suitability(chart: Map, ins: InsGrade | None = None, settings: LegSettings | None = None) -> Suitability:
+    """Statistics of a map, and the expected position 1-sigma after a leg at each block and heading.
+
+    Parameters
+    ----------
+    chart : Map
+    ins : InsGrade, optional
+        Its initial position sigma is the prior of every leg.
+    settings : LegSettings, optional
+
+    Returns
+    -------
+    Suitability
+
+    Raises
+    ------
+    ConfigError
+        For a leg of too many steps, or too many blocks.
+    DataError
+        For a map of fewer than two blocks on a side.
+    """
+    settings, ins = settings or LegSettings(), ins or InsGrade()
+    grid = _Grid.over(chart, settings.block)
+    headings = 360.0 * np.arange(settings.headings) / settings.headings
+    model = ErrorModel(ins, (chart,), ErrorModel.level_for(ins, Epoch(0.0, *chart.centre_deg, 0.0)))
+    sigma, drms = np.empty((2, headings.size, *grid.shape), dtype=np.float32)
+    for k, heading in enumerate(headings):
+        sigma[k], drms[k] = _heading(chart, model, grid, settings, math.radians(heading))
+    roughness, length, entropy, alike = _statistics(chart, grid, settings, ins)
+    lat, lon = grid.lat_deg(np.arange(grid.shape[0])), grid.lon_deg(np.arange(grid.shape[1]))
+    return Suitability(lat, lon, grid.side_m, headings, sigma, drms, roughness, length, entropy, alike, settings, ins)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Blocks: square in metres at the middle latitude."""
+
+    shape: tuple[int, int]
+    north_deg: float  # of the middle of the first row
+    west_deg: float
+    step_deg: tuple[float, float]
+    side_m: float
+
+    @classmethod
+    def over(cls, chart: Map, block: int) -> _Grid:
+        south, west, north, east = chart.bounds_deg
+        per_deg = [float(value) for value in metres_per_degree(0.5 * (south + north))]
+        side = block * chart.cell_m
+        step = side / per_deg[0], side / per_deg[1]
+        rows, cols = int((north - south) / step[0] + 1e-9), int((east - west) / step[1] + 1e-9)
+        if min(rows, cols) < 2:
+            raise DataError(
+                f"{chart.name}: {chart.shape[0]} x {chart.shape[1]} cells hold {rows} x {cols} blocks "
+                f"of {block} cells, expected at least 2 x 2"
+            )
+        if rows * cols > MOST_BLOCKS:
+            raise ConfigError(
+                f"suitability block is {block}, which makes {rows} x {cols} blocks of {chart.name}, "
+                f"expected at most {MOST_BLOCKS}"
+            )
+        first = north - 0.5 * (north - south - (rows - 1) * step[0]), west + 0.5 * (east - west - (cols - 1) * step[1])
+        return cls((rows, cols), *first, step, side)
+
+    def lat_deg(self, row: FloatArray | NDArray[np.intp]) -> FloatArray:
+        return np.asarray(self.north_deg - row * self.step_deg[0], dtype=np.float64)
+
+    def lon_deg(self, col: FloatArray | NDArray[np.intp]) -> FloatArray:
+        return np.asarray(self.west_deg + col * self.step_deg[1], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Parallel lines over a grid in flight order: one block along an axis a step, `slant` across it.
+
+    Every block lies on exactly one line: line c has at step u the block round(c + slant u) across.
+    """
+
+    by_row: bool
+    forward: bool  # whether the index along grows in flight
+    slant: float
+    along: int
+    across: int
+    numbers: NDArray[np.intp] = field(repr=False)
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], heading: float) -> _Lines:
+        down, right = -math.cos(heading), math.sin(heading)
+        by_row = abs(down) >= abs(right) * (1.0 - 1e-12)
+        main, side = (down, right) if by_row else (right, down)
+        along, across = shape if by_row else shape[::-1]
+        slant = side / abs(main)
+        drift = slant * (along - 1)
+        low, high = math.floor(min(0.0, -drift)) - 1, math.ceil(max(0.0, -drift)) + across + 1
+        return cls(by_row, main > 0.0, slant, along, across, np.arange(low, high))
+
+    def place(self, step: FloatArray, line: FloatArray | np.float64) -> tuple[FloatArray, FloatArray]:
+        """Row and column of places along and on lines."""
+        along = step if self.forward else self.along - 1 - step
+        across = line + self.slant * step
+        return (along + 0.0 * across, across) if self.by_row else (across, along + 0.0 * across)
+
+
+def _heading(
+    chart: Map, model: ErrorModel, grid: _Grid, settings: LegSettings, heading: float
+) -> tuple[Float32Array, Float32Array]:
+    """Largest 1-sigma and DRMS (rows, cols) of one heading [m]."""
+    lines = _Lines.of(grid.shape, heading)
+    step_m = grid.side_m * math.hypot(1.0, lines.slant)
+    step_s = step_m / settings.speed_mps
+    window = max(1, round(settings.distance_m / step_m))
+    if window > MOST_STEPS:
+        raise ConfigError(
+            f"suitability distance_m is {settings.distance_m:g}, {window} steps of {step_m:.0f} m, "
+            f"expected at most {MOST_STEPS} steps"
+        )
+    wanted = settings.rate_hz * step_s
+    subs = max(1, min(round(wanted), math.ceil(2.0 * step_m / chart.cell_m)))
+    scaled = _scaled(model, chart, step_s / subs, step_m / subs)
+    cov = np.full((3, *grid.shape), np.nan)
+    out = np.empty((lines.along - 1, 3))
+    chunk = max(1, CHUNK // (lines.along * subs))
+    for first in range(0, lines.numbers.size, chunk):
+        numbers = lines.numbers[first : first + chunk]
+        readings = _readings(chart, grid, lines, numbers, (subs, wanted / subs, settings.sensor_sigma))
+        for number, reading in zip(numbers, readings, strict=True):
+            windows(reading, window, *scaled, out)
+            steps = np.flatnonzero(np.isfinite(out[:, 0]))
+            at = (steps + (1 if settings.anchor == "end" else 1 - window)).astype(np.float64)
+            row, col = (np.floor(axis + 0.5).astype(np.intp) for axis in lines.place(at, np.float64(number)))
+            inside = (row >= 0) & (row < grid.shape[0]) & (col >= 0) & (col < grid.shape[1])
+            cov[:, row[inside], col[inside]] = out[steps[inside]].T
+    trace = cov[0] + cov[2]
+    longest = 0.5 * (trace + np.hypot(cov[0] - cov[2], 2.0 * cov[1]))
+    return np.sqrt(longest).astype(np.float32), np.sqrt(trace).astype(np.float32)
+
+
+def _scaled(
+    model: ErrorModel, chart: Map, dt_s: float, travelled_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray, int, FloatArray]:
+    """Transition, noise, unit of each state, index of the bias and covariance at the start, each state in its sigma."""
+    lat, lon = chart.centre_deg
+    there = [float(value) for value in shift(lat, lon, travelled_m, 0.0)]
+    passed = model.transition(Epoch(0.0, lat, lon, 0.0), Epoch(dt_s, there[0], there[1], 0.0))
+    cov = model.initial_covariance(Prior.from_ins(model.ins).cov_m2)
+    unit = np.sqrt(np.diagonal(cov))
+    unit = np.where(unit > 0.0, unit, 1.0)
+    both = np.outer(unit, unit)
+    phi = passed.phi * unit[None, :] / unit[:, None]
+    return phi, passed.q / both, unit, model.bias_index(chart.kind), cov / both
+
+
+def _readings(
+    chart: Map, grid: _Grid, lines: _Lines, numbers: NDArray[np.intp], reading: tuple[int, float, float]
+) -> FloatArray:
+    """(lines, steps, subs, 3) slopes and information, NaN off the map.
+
+    `reading`: how many there are a step, how many of the sensor's each of them stands for, and its sigma.
+    """
+    subs, worth, sensor_sigma = reading
+    step = (np.arange((lines.along - 1) * subs) + 1.0) / subs
+    row, col = lines.place(step[None, :], numbers[:, None].astype(np.float64))
+    near = (row > -1.0) & (row < grid.shape[0]) & (col > -1.0) & (col < grid.shape[1])
+    found = np.full((*row.shape, 3), np.nan)
+    lat, lon = grid.lat_deg(row[near]), grid.lon_deg(col[near])
+    if lat.size:
+        slopes, known = patch_slope(chart, lat, lon), np.isfinite(chart.sample(lat, lon))
+        white = sensor_sigma**2 + (Marginalized.blur_cells * chart.cell_m) ** 2 * np.sum(slopes**2, axis=1)
+        reach = Marginalized.outlier_scale * math.hypot(sensor_sigma, chart.sigma) / np.sqrt(white)
+        at = np.geomspace(reach.min(), reach.max() * (1.0 + 1e-9), 24)
+        kept = [mixture_information(Marginalized.outlier_share, float(f"{value:.3g}")) for value in at]
+        information = worth * np.interp(reach, at, kept) / white
+        found[near] = np.where(known[:, None], np.column_stack([slopes, information]), np.nan)
+    return found.reshape(len(numbers), lines.along - 1, subs, 3)
+
+
+def _statistics(chart: Map, grid: _Grid, settings: LegSettings, ins: InsGrade) -> list[Float32Array]:
+    """Roughness, correlation length, entropy and self-similarity (rows, cols)."""
+    block, (rows, cols) = settings.block, grid.shape
+    fine = [(np.arange(size * block) + 0.5) / block - 0.5 for size in grid.shape]
+    values = np.concatenate(
+        [chart.sample(grid.lat_deg(part)[:, None], grid.lon_deg(fine[1])[None, :]) for part in _parts(fine[0])]
+    )
+    spacing = grid.side_m / block
+    down, right = np.gradient(values, spacing)
+    half = PATCH_BLOCKS * block
+    slope2, mean = _around(down**2 + right**2, block, half), _around(values, block, half)
+    base = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+    spread2 = np.maximum(_around((values - base) ** 2, block, half) - (mean - base) ** 2, 0.0)
+    roughness = np.sqrt(np.maximum(slope2, 0.0))  # rounding of the running sums
+    with np.errstate(divide="ignore", invalid="ignore"):
+        length = np.where(roughness > 0.0, 2.0 * np.sqrt(spread2) / roughness, np.nan)
+    entropy, alike = np.empty(grid.shape), np.empty(grid.shape)
+    entropies(values, block, half, math.hypot(settings.sensor_sigma, chart.sigma), entropy)
+    coarse = values.reshape(rows, block, cols, block).mean(axis=(1, 3))
+    reach = int(np.clip(round(2.0 * ins.position_sigma_m / grid.side_m), 2, MOST_REACH))
+    likeness(coarse, PATCH_BLOCKS, 1, reach, alike)
+    return [grid_.astype(np.float32) for grid_ in (roughness, length, entropy, alike)]
+
+
+def _parts(rows: FloatArray) -> list[FloatArray]:
+    """Rows in pieces, so that a large map needs no more than a few arrays of its own size."""
+    return np.array_split(rows, max(1, rows.size // 256))
+
+
+def _around(values: FloatArray, block: int, half: int) -> FloatArray:
+    """Mean over the cells within `half` of the middle of each block, by running sums; NaN with a void among them."""
+    void = np.isnan(values)
+    sums = [np.pad(np.where(void, 0.0, values), ((1, 0), (1, 0))), np.pad(void.astype(np.float64), ((1, 0), (1, 0)))]
+    total, voids = (part.cumsum(axis=0).cumsum(axis=1) for part in sums)
+    ends = []
+    for size in values.shape:
+        middle = np.arange(size // block) * block + block // 2
+        ends.append((np.maximum(middle - half, 0), np.minimum(middle + half, size)))
+    (top, bottom), (left, right) = ends
+
+    def boxed(part: FloatArray) -> FloatArray:
+        rows = part[bottom] - part[top]
+        return np.asarray(rows[:, right] - rows[:, left])
+
+    area = np.outer(bottom - top, right - left)
+    return np.where(boxed(voids) > 0.5, np.nan, boxed(total) / area)
