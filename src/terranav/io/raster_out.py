@@ -1,0 +1,189 @@
+"""Maps to files: GeoTIFF, NetCDF and, where nothing would be lost, SRTM's .hgt."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from terranav.core.errors import ConfigError, DataError
+from terranav.io.files import replacing
+
+if TYPE_CHECKING:
+    from terranav.maps.map import Map
+
+TILE = 256  # cells along the side of a GeoTIFF's blocks
+_HGT_VOID = -32768
+_VERTICAL = {
+    "EGM96": 5773,
+    "EGM96 height": 5773,
+    "EGM2008": 3855,
+    "EGM2008 height": 3855,
+    "mean sea level": 5714,
+    "MSL height": 5714,
+}
+_STANDARD_NAMES = {"terrain": "surface_altitude", "bathymetry": "height_above_mean_sea_level"}
+
+
+def write_map(chart: Map, path: str | Path, *, force: bool = False) -> None:
+    """Write a map to a file that `open_map` reads back with the same values at the same places.
+
+    The unit is the kind's own and stands in the file. What a file cannot say is left to who opens it: the kind, sigma
+    and the correlation length; in NetCDF the vertical datum is a remark only.
+
+    Parameters
+    ----------
+    chart : Map
+    path : str or Path
+        .tif (deflate, tiled, voids NaN), .nc (CF axes, HDF5), or .hgt (whole metres on SRTM's own grid only).
+    force : bool
+        Replace a file that is there.
+
+    Raises
+    ------
+    ConfigError
+        Another suffix, or a file that is there without force.
+    DataError
+        The folder cannot be written, or the format cannot hold this map exactly.
+    """
+    file = Path(path)
+    write = check_target(file, force=force)
+    with replacing(file) as aside:
+        try:
+            write(chart, aside, file)
+        except DataError:
+            raise
+        except (RuntimeError, ValueError, TypeError) as problem:
+            raise DataError(f"{file}: cannot be written ({' '.join(str(problem).split())[:200]})") from None
+
+
+def check_target(path: str | Path, *, force: bool = False) -> Callable[[Map, Path, Path], None]:
+    """What will write (map, where to, name it will have); ConfigError as of `write_map`, before any work is done."""
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in _WRITERS:
+        raise ConfigError(f"{file}: the suffix is {suffix!r}, expected one of {', '.join(_WRITERS)}")
+    if file.exists() and not file.is_dir() and not force:
+        raise ConfigError(f"{file}: is there already, expected a new name or --force")
+    return _WRITERS[suffix]
+
+
+def _tif(chart: Map, aside: Path, file: Path) -> None:
+    """A GeoTIFF."""
+    import rasterio
+    from rasterio.errors import RasterioError
+    from rasterio.transform import Affine
+
+    profile: dict[str, Any] = {
+        "driver": "GTiff",
+        "dtype": "float32",
+        "count": 1,
+        "height": chart.shape[0],
+        "width": chart.shape[1],
+        "crs": _with_vertical(chart),
+        "transform": Affine(*chart.transform),
+        "nodata": float("nan"),
+        "compress": "deflate",
+        "predictor": 3,
+        "tiled": True,
+        "blockxsize": TILE,
+        "blockysize": TILE,
+        "bigtiff": "if_safer",
+    }
+    try:
+        with rasterio.open(aside, "w", **profile) as raster:
+            raster.write(chart.values, 1)
+            raster.units = (chart.unit,)
+            raster.update_tags(KIND=chart.kind, SOURCE=chart.source, VERTICAL_DATUM=chart.datum or "not stated")
+    except RasterioError as problem:
+        raise DataError(f"{file}: cannot be written ({' '.join(str(problem).split())[:200]})") from None
+
+
+def _with_vertical(chart: Map) -> str:
+    """The CRS with the vertical one that the datum names, where it is a known one."""
+    code = _VERTICAL.get(chart.datum or "")
+    if code is None:
+        return chart.crs
+    from pyproj import CRS
+    from pyproj.crs import CompoundCRS
+
+    flat, up = CRS.from_user_input(chart.crs), CRS.from_epsg(code)
+    if flat.is_compound or len(flat.axis_info) != 2:
+        return chart.crs
+    return str(CompoundCRS(f"{flat.name} + {up.name}", [flat, up]).to_wkt())
+
+
+def _netcdf(chart: Map, aside: Path, file: Path) -> None:
+    """A NetCDF file with one variable and its two axes."""
+    import xarray as xr
+
+    a, b, c, d, e, f = chart.transform
+    if b or d:
+        raise DataError(f"{file}: the rows of the map run aslant to its axes, which NetCDF cannot say; expected .tif")
+    rows, cols = chart.shape
+    y, x = f + e * (np.arange(rows) + 0.5), c + a * (np.arange(cols) + 0.5)
+    y_axis, x_axis, mapping = _axes(chart.crs)
+    about = {"units": chart.unit, "long_name": f"{chart.kind} map", "source": chart.source}
+    if chart.kind in _STANDARD_NAMES:
+        about["standard_name"] = _STANDARD_NAMES[chart.kind]
+    if chart.datum:
+        about["vertical_datum"] = chart.datum
+    axes = {y_axis[0]: (y_axis[0], y, y_axis[1]), x_axis[0]: (x_axis[0], x, x_axis[1])}
+    data = xr.Dataset({"z": ((y_axis[0], x_axis[0]), chart.values, about)}, axes, {"Conventions": "CF-1.8"})
+    if mapping:
+        data["crs"] = xr.DataArray(np.int32(0), attrs=mapping)
+        data["z"].attrs["grid_mapping"] = "crs"
+    packed = {"zlib": True, "complevel": 4, "shuffle": True, "dtype": "float32", "_FillValue": np.float32("nan")}
+    data.to_netcdf(aside, engine="h5netcdf", encoding={"z": packed})
+
+
+def _axes(crs: str) -> tuple[tuple[str, dict[str, str]], tuple[str, dict[str, str]], dict[str, Any]]:
+    """Names and attributes of the axes down and across, and the grid mapping, empty for plain WGS-84."""
+    from pyproj import CRS
+
+    where = CRS.from_user_input(crs)
+    mapping = {} if crs.upper() == "EPSG:4326" else {key: value for key, value in where.to_cf().items() if value != ""}
+    if where.is_geographic:
+        lat = {"units": "degrees_north", "standard_name": "latitude", "long_name": "latitude"}
+        lon = {"units": "degrees_east", "standard_name": "longitude", "long_name": "longitude"}
+        return ("lat", lat), ("lon", lon), mapping
+    unit = {"metre": "m"}.get(where.axis_info[0].unit_name, where.axis_info[0].unit_name)
+    down = {"units": unit, "standard_name": "projection_y_coordinate", "long_name": "y"}
+    across = {"units": unit, "standard_name": "projection_x_coordinate", "long_name": "x"}
+    return ("y", down), ("x", across), mapping
+
+
+def _hgt(chart: Map, aside: Path, file: Path) -> None:
+    """An SRTM tile: refused where a value, a place or the name would not be exact."""
+    rows, cols = chart.shape
+    if rows != cols or rows not in (1201, 3601):
+        raise DataError(f"{file}: map of {rows} x {cols} cells, expected 1201 x 1201 or 3601 x 3601 for .hgt")
+    known = ~np.isnan(chart.values)
+    values = chart.values[known]
+    if (
+        chart.kind not in ("terrain", "bathymetry")
+        or (values != np.round(values)).any()
+        or np.abs(values).max() > 32767
+    ):
+        raise DataError(f"{file}: the values are not all whole metres within 32767, which .hgt holds; expected .tif")
+    south, west, north, east = chart.bounds_deg
+    lat, lon = round(south), round(west)
+    name = f"{'S' if lat < 0 else 'N'}{abs(lat):02d}{'W' if lon < 0 else 'E'}{abs(lon):03d}"
+    off = np.abs(np.array([south - lat, west - lon, north - lat - 1, east - lon - 1])).max()
+    a, b, _, d, e, _ = chart.transform
+    if chart.crs.upper() != "EPSG:4326" or a <= 0 or e >= 0 or b or d or off > 1e-6 / rows:
+        raise DataError(f"{file}: the cells are not those of a 1 x 1 degree tile, which .hgt holds; expected .tif")
+    if not re.fullmatch(name, file.stem, re.IGNORECASE):
+        raise DataError(f"{file}: an .hgt file is named after its south-west corner, expected {name}.hgt")
+    aside.write_bytes(np.where(known, chart.values, _HGT_VOID).astype(">i2").tobytes())
+
+
+_WRITERS: dict[str, Callable[[Map, Path, Path], None]] = {
+    ".tif": _tif,
+    ".tiff": _tif,
+    ".nc": _netcdf,
+    ".hgt": _hgt,
+}
