@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 import typer.main
 
-from terranav.app.commands import maps
+from terranav.app.commands import maps, plan
 from terranav.app.commands.bench import bench
 from terranav.app.commands.campaign import campaign
 from terranav.app.commands.compare import compare
@@ -38,6 +38,7 @@ app = typer.Typer(
 for command in (demo, run, compare, simulate, convert, cue, campaign, study, bench):
     app.command()(command)
 app.add_typer(maps.app, name="map")
+app.add_typer(plan.app, name="plan")
 app.command()(reproduce)
 app.command()(estimators)
 
