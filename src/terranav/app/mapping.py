@@ -1,0 +1,100 @@
+"""What `terranav map` does between its options and the modules that do the work."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from terranav.app.listing import extent
+from terranav.core.checks import finite
+from terranav.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from terranav.io.fetching import Fetched
+    from terranav.maps.map import Map
+
+Box = tuple[float, float, float, float]
+
+
+def parsed_box(text: str | None) -> Box | None:
+    """South, west, north, east of '47,9,48,10' [deg]; None for None, ConfigError for other texts."""
+    return None if text is None else required_box(text)
+
+
+def required_box(text: str) -> Box:
+    """South, west, north, east of '47,9,48,10' [deg]; ConfigError for other texts."""
+    expected = ConfigError(f"--box is {text!r}, expected S,W,N,E in degrees, such as 47,9,48,10")
+    try:
+        south, west, north, east = (finite("--box", float(part)) for part in text.split(","))
+    except ValueError:  # ConfigError is one
+        raise expected from None
+    if not -90.0 <= south < north <= 90.0:
+        raise ConfigError(f"--box is {text!r} and has no area on Earth, expected S,W,N,E with -90 <= S < N <= 90")
+    if west == east:
+        raise ConfigError(f"--box is {text!r} and has no area, expected S,W,N,E with west and east apart")
+    return south, west, north, east
+
+
+def checked_picture(file: Path, out: Path | None) -> Path:
+    """Where the picture goes; ConfigError where it would not be a PNG."""
+    picture = Path(f"{file.stem}.png") if out is None else out
+    if picture.suffix.lower() != ".png":
+        raise ConfigError(f"--out is {str(picture)!r}, expected a name that ends in .png")
+    if picture.resolve() == file.resolve():
+        raise ConfigError(f"--out is {str(picture)!r}, the map itself, expected another name")
+    return picture
+
+
+def drawn(chart: Map, picture: Path, *, page: bool) -> tuple[list[str], str]:
+    """Write the picture and, if wanted, the page beside it; their names, and how they differ from the map."""
+    from terranav.app.mapview import map_page, map_png, view_of
+    from terranav.io.files import replacing
+
+    view = view_of(chart)
+    written = [picture]
+    with replacing(picture) as aside:
+        aside.write_bytes(map_png(chart, view))
+    if page:
+        written.append(picture.with_suffix(".html"))
+        with replacing(written[-1]) as aside:
+            aside.write_text(map_page(chart, view), encoding="utf-8")
+    return [str(file) for file in written], view.note
+
+
+def fetched_facts(found: Sequence[Fetched], box: Box, cache: Path) -> dict[str, Any]:
+    """What became of every tile."""
+    from terranav.io.download import shown
+
+    return {
+        "box_deg": dict(zip(("south", "west", "north", "east"), box, strict=True)),
+        "cache": str(cache),
+        "counts": dict(Counter(one.state for one in found)),
+        "bytes": sum(one.size for one in found),
+        "tiles": [
+            {
+                "name": one.tile.name,
+                "south_deg": one.tile.lat_deg,
+                "west_deg": one.tile.lon_deg,
+                "state": one.state,
+                "bytes": one.size,
+                "sha256": one.sha256 or None,
+                "url": shown(one.tile.url),
+            }
+            for one in found
+        ],
+    }
+
+
+def fetched_pairs(found: Sequence[Fetched], box: Box, cache: Path) -> list[tuple[str, str]]:
+    """The same in words."""
+    counts = ", ".join(f"{count} {state}" for state, count in Counter(one.state for one in found).items())
+    missing = [one.tile.name for one in found if one.state == "missing"]
+    more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""
+    return [
+        ("box", extent(*box)),
+        ("tiles", f"{len(found)}: {counts}; {sum(one.size for one in found) / 1e6:.1f} MB"),
+        *([("no such", ", ".join(missing[:8]) + more)] if missing else []),
+        ("written to", str(cache)),
+    ]

@@ -1,0 +1,235 @@
+"""terranav map view, convert and fetch: what they write, what they say, and one line for every bad input."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import terranav as tn
+from terranav.app.cli import main
+from terranav.app.mapview import map_page, pack, relief, view_of
+from terranav.io.raster_out import write_map
+from terranav.maps.map import Map
+
+ROWS, COLS = 40, 60
+HEIGHTS = np.random.default_rng(4).normal(0.0, 30.0, (ROWS, COLS)).cumsum(0).cumsum(1).round() / 10 + 700.0
+HEIGHTS[10:14, 20:26] = np.nan
+CHART = Map(HEIGHTS, (0.01, 0.0, 9.995, 0.0, -0.01, 46.005))
+
+
+@pytest.fixture
+def tif(tmp_path: Path) -> Path:
+    write_map(CHART, tmp_path / "hills.tif")
+    return tmp_path / "hills.tif"
+
+
+def answered(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
+    assert main([str(argument) for argument in arguments]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main([str(argument) for argument in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    return line
+
+
+def decoded(page: str) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
+    """The heights in a page, and the rest of its data."""
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert found
+    data = json.loads(found[1])
+    codes = np.frombuffer(base64.b64decode(data["heights"]), "<u2").reshape(data["rows"], data["cols"])
+    return np.where(codes == 0, np.nan, data["base"] + data["step"] * (codes - 1.0)), data
+
+
+# -- view -------------------------------------------------------------------------------------------------------------
+
+
+def test_view_writes_a_picture_and_a_page(tif: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tif.with_name("look.png")
+    facts = answered(capsys, "map", "view", tif, "--out", out, "--page", "--json")
+    assert facts["files"] == [str(out), str(out.with_suffix(".html"))]
+    assert facts["note"] is None
+    assert out.read_bytes().startswith(b"\x89PNG")
+    page = out.with_suffix(".html").read_text(encoding="utf-8")
+    values, data = decoded(page)
+    np.testing.assert_allclose(values, CHART.values, atol=0.51 * data["step"], equal_nan=True)
+    np.testing.assert_allclose(data["box"], [45.605, 9.995, 46.005, 10.595])
+
+
+def test_the_page_asks_for_nothing_and_holds_no_foreign_markup() -> None:
+    chart = Map(HEIGHTS, CHART.transform, name="</script><b>&")
+    page = map_page(chart, view_of(chart))
+    assert "</script><b>" not in page
+    assert "default-src 'none'" in page
+    assert not re.search(r"(?:src|href)=\"(?!data:)", page)
+    assert not re.search(r"https?://|fetch\(|XMLHttpRequest|\bimport\b", page)
+
+
+def test_view_says_in_words_what_it_did(
+    tif: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tif.parent)
+    assert main(["map", "view", tif.name, "--box", "45.7,10.1,45.9,10.4"]) == 0
+    out = capsys.readouterr().out
+    assert "written to hills.png" in out
+    assert "21 x 31 cells" in out
+    assert not (tif.parent / "hills.html").exists()
+
+
+def test_a_large_map_is_thinned_with_a_note() -> None:
+    view = view_of(CHART, longest=25)
+    assert view.values.shape == (25, 25)
+    assert view.thinned
+    assert "thinned to 25 x 25" in view.note
+    lat, lon = 46.0 - 0.39 * 7 / 24, 10.0 + 0.59 * 5 / 24
+    np.testing.assert_allclose(view.values[7, 5], CHART.sample(lat, lon))
+    assert view_of(CHART).note == ""
+
+
+def test_a_projected_map_is_said_to_be_resampled() -> None:
+    chart = Map(HEIGHTS, (100.0, 0.0, 700_000.0, 0.0, -100.0, 5_200_000.0), "EPSG:32633")
+    view = view_of(chart)
+    assert "resampled" in view.note
+    np.testing.assert_allclose(np.nanmean(view.values), np.nanmean(HEIGHTS), atol=5.0)
+
+
+def test_relief_is_transparent_where_void_and_casts_no_shade_from_there() -> None:
+    flat = np.full((20, 20), 250.0)
+    flat[5:9, 5:9] = np.nan
+    flat[0, 0] = 300.0
+    picture = relief(view_of(Map(flat, CHART.transform)), "terrain")
+    np.testing.assert_array_equal(picture[..., 3] == 0, np.isnan(flat))
+    np.testing.assert_allclose(picture[4, 5:9], picture[15, 5:9])
+    assert ((picture >= 0) & (picture <= 1)).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "error"),
+    [
+        ([[1.0, -400.0], [np.nan, 8848.0]], 0.0),  # whole numbers stay exact
+        ([[0.25, 0.75], [0.5, np.nan]], 0.5 / 65534),
+        ([[7.5, 7.5], [7.5, 7.5]], 0.0),
+        ([[np.nan, np.nan], [np.nan, np.nan]], 0.0),
+        ([[-1e5, 1e5], [0.0, 1.0]], 2e5 / 65534),
+    ],
+)
+def test_heights_in_two_bytes(values: list[list[float]], error: float) -> None:
+    given = np.array(values)
+    codes, base, step = pack(given)
+    code = np.frombuffer(codes, "<u2").reshape(given.shape)
+    np.testing.assert_allclose(np.where(code == 0, np.nan, base + step * (code - 1.0)), given, atol=error, rtol=0)
+
+
+# -- convert ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".nc"])
+def test_convert_keeps_values_and_places(tif: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
+    out = tif.with_name(f"out{suffix}")
+    facts = answered(capsys, "map", "convert", tif, out, "--box", "45.7,10.1,45.9,10.4", "--json")
+    assert facts["file"] == str(out)
+    part, again = tn.open_map(tif, box=(45.7, 10.1, 45.9, 10.4)), tn.open_map(out)
+    np.testing.assert_array_equal(again.values, part.values)
+    np.testing.assert_allclose(again.transform, part.transform, rtol=1e-12)
+
+
+def test_convert_turns_into_the_unit_of_the_kind(tif: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    feet = tif.with_name("feet.asc")
+    feet.write_text("ncols 2\nnrows 2\nxllcorner 9\nyllcorner 46\ncellsize 0.5\n1000 2000\n3000 4000\n")
+    out = tif.with_name("metres.nc")
+    assert main(["map", "convert", str(feet), str(out), "--unit", "ft", "--crs", "EPSG:4326"]) == 0
+    assert f"written to {out}" in capsys.readouterr().out.replace("\n", "")
+    np.testing.assert_allclose(tn.open_map(out).values, np.array([[1000, 2000], [3000, 4000]]) * 0.3048, rtol=1e-6)
+
+
+def test_convert_never_overwrites_unless_told_to(tif: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = tif.read_bytes()
+    assert "is there already, expected a new name or --force" in refused(capsys, "map", "convert", tif, tif)
+    assert tif.read_bytes() == before
+    assert main(["map", "convert", str(tif), str(tif), "--box", "45.7,10.1,45.9,10.4", "--force"]) == 0
+    assert tn.open_map(tif).shape == (21, 31)
+
+
+# -- fetch ------------------------------------------------------------------------------------------------------------
+
+
+def test_fetch_from_a_server(tif: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    site, cache = tmp_path / "site", tmp_path / "cache"
+    site.mkdir()
+    (site / "n45_e010.tif").write_bytes(tif.read_bytes())
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site))) as http:
+        thread = threading.Thread(target=http.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        template = f"http://127.0.0.1:{http.server_address[1]}/{{ns}}{{lat02}}_{{ew}}{{lon03}}.tif"
+        asked = ("map", "fetch", "--template", template, "--box", "45.2,10.2,46.5,10.7", "--cache", cache)
+        facts = answered(capsys, *asked, "--json")
+        assert main([str(part) for part in asked]) == 0
+        said = capsys.readouterr().out
+        missed = refused(capsys, *asked[:4], "--box", "1,2,3,4", "--cache", cache)
+        http.shutdown()
+        thread.join()
+    assert facts["counts"] == {"fetched": 1, "missing": 1}
+    assert [tile["state"] for tile in facts["tiles"]] == ["fetched", "missing"]
+    assert facts["bytes"] == tif.stat().st_size
+    assert "2: 1 cached, 1 missing" in said
+    assert "no such    n46_e010.tif" in said
+    assert "none of the 4 tiles exists" in missed
+    np.testing.assert_array_equal(tn.open_map(cache / "n45_e010.tif").values, CHART.values)
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------
+
+URL = "http://127.0.0.1:1/{lat}_{lon}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("view", "none.tif"), "no such file"),
+        (("view", "TIF", "--out", "map.jpg"), "ends in .png"),
+        (("view", "TIF", "--box", "1,2,3"), "expected S,W,N,E"),
+        (("view", "TIF", "--box", "1,2,3,nan"), "expected S,W,N,E"),
+        (("view", "TIF", "--box", "1,2,3,4"), "misses the map"),
+        (("view", "TIF", "--kind", "terain"), "did you mean 'terrain'"),
+        (("view", "TIF", "--out", "none/map.png"), "is not a folder"),
+        (("convert", "TIF", "map.jpg"), "the suffix is '.jpg', expected one of .tif"),
+        (("convert", "TIF", "N45E010.hgt"), "40 x 60 cells, expected 1201 x 1201"),
+        (("convert", "TIF", "none/map.tif"), "is not a folder"),
+        (("convert", "TIF", "map.nc", "--box", "46,10,46,11"), "has no area"),
+        (("fetch", "--template", URL, "--box", "46,10,45,11", "--cache", "c"), "has no area"),
+        (("fetch", "--template", URL, "--box", "46,10,47,10", "--cache", "c"), "has no area"),
+        (("fetch", "--template", "http://x.y/{lat}_{lng}", "--box", "46,10,47,11", "--cache", "c"), "unknown field"),
+        (("fetch", "--template", URL, "--box", "46,10,47,11", "--cache", "TIF"), "cache cannot be written"),
+        (("fetch", "--template", URL, "--box", "46,10,47,11", "--cache", "c", "--attempts", "1"), "no connection"),
+        (("fetch", "--template", URL, "--box", "46,10,47,11"), "--cache"),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: tuple[str, ...],
+    message: str,
+    tif: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tif.parent)
+    given = [str(tif) if part == "TIF" else part for part in arguments]
+    assert message in refused(capsys, "map", *given)
+    assert {file.name for file in tif.parent.iterdir()} <= {tif.name, "c"}
