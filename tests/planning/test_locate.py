@@ -14,7 +14,7 @@ from terranav.core.errors import ConfigError, DataError
 from terranav.kernels import locating
 from terranav.maps.fields import plane_map
 from terranav.maps.map import Map
-from terranav.planning._placements import fitted, searched
+from terranav.planning._placements import TOP, _regions, fitted, searched, shape_in
 from terranav.planning.locate import LocateSettings, Track, _margin, _prepared, locate
 
 FloatArray = NDArray[np.float64]
@@ -109,6 +109,44 @@ def test_nothing_is_skipped_that_exhaustive_search_finds(seed: int, sigma: float
     if sigma < 10.0:
         assert left == 0
         assert len(kept) < 0.02 * chart.values.size * work.headings[0, 1]
+
+
+@pytest.mark.parametrize(
+    ("crs", "transform", "heading_deg"),
+    [
+        ("EPSG:4326", (1e-3, 0.0, 9.0, 0.0, -1e-3, 61.0), 2.0),
+        ("EPSG:4326", (1e-3, 0.0, 9.0, 0.0, 1e-3, -41.0), 30.0),
+        ("EPSG:32632", (80.0, 0.0, 700_000.0, 0.0, -80.0, 6_700_000.0), 5.0),
+    ],
+)
+def test_the_cells_of_a_block_hold_all_its_placements(
+    crs: str, transform: tuple[float, float, float, float, float, float], heading_deg: float
+) -> None:
+    """At any place in the block, any heading in the interval, and the shape that the map gives the track just there."""
+    rng = np.random.default_rng(7)
+    chart = Map(rng.random((300, 400)), transform, crs, sigma=1.0)
+    along = np.linspace(0.0, 15_000.0, 30)
+    track = Track(0.6 * along, 0.8 * along + 500.0 * np.sin(along / 2000.0), along % 77.0, 5.0)
+    work = _prepared(track, chart, LocateSettings(heading_deg=heading_deg))
+    for i0, i1, j0, j1 in _regions(chart)[::2]:
+        ends, places = shape_in(work, (i0, i1, j0, j1))
+        top, bottom, west, east = ends
+        assert places.shape == (2, work.headings[0, 1], work.height.size)
+        for level in range(TOP + 1):
+            begins, count = work.headings[level]
+            block, half = 2**level, work.half / count
+            for _ in range(20):
+                h = int(rng.integers(count))
+                i, j = (int(rng.integers(a, b)) for a, b in ((i0, i1), (j0, j1)))
+                row = min(i - 0.5 + block * rng.random(), i1 - 0.5)
+                col = min(j - 0.5 + block * rng.random(), j1 - 0.5)
+                psi = -work.half + (2 * h + 2 * rng.random()) * half
+                frame, at = work.frame(row, col), begins + h
+                down, right = frame.cells(*work.turned(psi))
+                assert (np.floor(down) >= i + top[at]).all()
+                assert (np.ceil(down) <= i + block + bottom[at]).all()
+                assert (np.floor(right) >= j + west[at]).all()
+                assert (np.ceil(right) <= j + block + east[at]).all()
 
 
 def test_flat_land_is_ambiguous() -> None:

@@ -105,8 +105,15 @@ def _regions(chart: Map) -> list[tuple[int, int, int, int]]:
     ]
 
 
-def _ends(work: Search, frame: LocalFrame, corners: list[LocalFrame]) -> tuple[tuple[IntArray, ...], FloatArray]:
-    """Under each point at each level's headings, the cells it may lie on; and the points at the finest headings."""
+def shape_in(work: Search, region: tuple[int, int, int, int]) -> tuple[tuple[IntArray, ...], FloatArray]:
+    """Under each point at each level's headings, the cells it may lie on; and the points at the finest headings.
+
+    Both hold for the middle of the track anywhere in a region of the map; the first as in `locating.search`.
+    """
+    i0, i1, j0, j1 = region
+    frame = work.frame(0.5 * (i0 + i1 - 1), 0.5 * (j0 + j1 - 1))
+    plain = projection(work.chart.crs).plain  # there the shape in cells depends on the row alone
+    corners = [work.frame(i, j) for i in (i0 - 0.5, i1 - 0.5) for j in ((j0,) if plain else (j0 - 0.5, j1 - 0.5))]
     ends: list[list[FloatArray]] = [[], [], [], []]
     places: list[list[FloatArray]] = [[], []]
     rho = np.hypot(work.down, work.right) * _cells_per_m(frame)
@@ -157,11 +164,7 @@ def searched(
     complete = True
     work.counts[0] = 0
     for region in _regions(work.chart):
-        i0, i1, j0, j1 = region
-        frame = work.frame(0.5 * (i0 + i1 - 1), 0.5 * (j0 + j1 - 1))
-        plain = projection(work.chart.crs).plain  # there the shape in cells depends on the row alone
-        corners = [work.frame(i, j) for i in (i0 - 0.5, i1 - 0.5) for j in ((j0,) if plain else (j0 - 0.5, j1 - 0.5))]
-        ends, places = _ends(work, frame, corners)
+        ends, places = shape_in(work, region)
         complete = locating.search(
             work.chart.values, work.lows, work.highs, work.spans, work.headings, ends, (places[0], places[1]),
             (work.height, weight, work.offset_weight, rows, cols, work.void_cost), region, limits, found, work.counts,
