@@ -88,7 +88,7 @@ def test_a_tile_is_fetched_once_and_checked(server: Server, tmp_path: Path) -> N
     assert one.file == cache / "N47E009.hgt"
     assert one.file.read_bytes() == BODY
     assert f"{one.sha256}  N47E009.hgt" in (cache / "N47E009.hgt.sha256").read_text().splitlines()
-    assert sorted(file.name for file in cache.iterdir()) == ["N47E009.hgt", "N47E009.hgt.sha256"]
+    assert sorted(file.name for file in cache.iterdir()) == [".lock", "N47E009.hgt", "N47E009.hgt.sha256"]
     (again,) = fetched(server, cache)
     assert again.state == "cached"
     assert len(server.asked) == 1
@@ -104,17 +104,30 @@ def test_a_connection_cut_in_the_middle_is_resumed(server: Server, tmp_path: Pat
     assert [wanted for _, wanted in server.asked] == ["", half, half]
 
 
-def test_a_later_call_resumes_and_a_changed_file_starts_again(server: Server, tmp_path: Path) -> None:
+@pytest.mark.parametrize("changed", [False, True])
+def test_a_later_call_resumes_unless_the_file_changed(server: Server, tmp_path: Path, changed: bool) -> None:
     server.files["/N47E009.hgt"] = BODY
     server.deeds["/N47E009.hgt"] = ["cut", "503", "cut"]
     with pytest.raises(DataError, match=r"N47E009.hgt: the server says 503 .* after 2 attempts"):
         fetched(server, tmp_path, attempts=2)
     assert not (tmp_path / "N47E009.hgt").exists()
-    server.files["/N47E009.hgt"], server.etag = BODY[::-1], '"v2"'
     server.deeds["/N47E009.hgt"] = []
+    if changed:
+        server.files["/N47E009.hgt"], server.etag = BODY[::-1], '"v2"'
     (one,) = fetched(server, tmp_path)
-    assert one.state == "fetched"  # from its start: what was there is of another file
-    assert (tmp_path / "N47E009.hgt").read_bytes() == BODY[::-1]
+    assert one.state == ("fetched" if changed else "resumed")
+    assert server.asked[-1][1] == f"bytes={len(BODY) // 2}-"
+    assert (tmp_path / "N47E009.hgt").read_bytes() == server.files["/N47E009.hgt"]
+    assert not list(tmp_path.glob("*.part*"))
+
+
+def test_one_at_a_time_in_a_cache(server: Server, tmp_path: Path) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    with (tmp_path / ".lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(DataError, match="another fetch is at work"):
+            fetched(server, tmp_path)
+    assert server.asked == []
 
 
 def test_a_server_that_ignores_ranges_is_read_from_the_start(server: Server, tmp_path: Path) -> None:

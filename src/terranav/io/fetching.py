@@ -142,10 +142,8 @@ def fetch_tiles(
     folder = Path(cache)
     with _writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    found = []
-    for tile in wanted:
-        with _writable(folder):
-            found.append(_one(tile, folder, refresh, Trouble(attempts, timeout_s, pause)))
+    with _writable(folder), _alone(folder):
+        found = [_one(tile, folder, refresh, Trouble(attempts, timeout_s, pause)) for tile in wanted]
     if all(one.state == "missing" for one in found):
         raise DataError(f"none of the {len(found)} tiles exists, such as {shown(found[0].tile.url)} (404)")
     return found
@@ -207,6 +205,22 @@ def _writable(folder: Path) -> Iterator[None]:
         raise DataError(
             f"{folder}: the cache cannot be written ({problem.strerror or problem}), expected a folder with space"
         ) from None
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Two that write the same part would spoil it: DataError where another process is at work here."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    with (folder / ".lock").open("w") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DataError(f"{folder}: another fetch is at work in this cache, expected that to end first") from None
+        yield
 
 
 def _check_template(template: str, *, whole: bool) -> None:
