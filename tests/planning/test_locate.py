@@ -66,6 +66,7 @@ def test_a_profile_over_rough_land_is_found(seed: int) -> None:
     assert best.heading_deg == pytest.approx(turn, abs=0.5)
     assert best.offset == pytest.approx(40.0, abs=2.0)
     assert best.rms == pytest.approx(2.0, abs=0.8)
+    assert 0.0 < best.sigma_m < 0.5 * CELL_M
     assert sum(one.probability for one in found.candidates) == pytest.approx(1.0)
 
 
@@ -156,6 +157,14 @@ def test_flat_land_is_ambiguous() -> None:
     assert found.ambiguous
     assert not found.complete
     assert "too little relief" in found.reasons[0]
+
+
+def test_a_slope_along_one_axis_leaves_the_other_open() -> None:
+    chart = plane_map(0.0, 0.0, cells=121, cell_m=CELL_M, sigma=1.0)
+    wave = 80.0 * np.sin(np.arange(121) ** 1.5 / 40.0)
+    chart = Map(np.tile(wave[:, None], (1, 121)), chart.transform, sigma=1.0)
+    track, _, _ = flown(chart, 3)
+    assert locate(track, chart, LocateSettings(heading_deg=0.0)).ambiguous
 
 
 def test_a_map_that_repeats_itself_is_ambiguous_and_gives_both_places() -> None:

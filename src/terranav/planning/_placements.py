@@ -19,6 +19,7 @@ IntArray = NDArray[np.int64]
 
 TOP = 6  # levels above the single cell: blocks of 2, 4 ... 64 cells
 SWEEP = 0.25  # most that a heading interval moves a point either way, of its level's block
+MOST_SHAPES = 200  # regions whose shapes are kept for the next search: some 50 MB
 APART_CELLS = 2.5  # places nearer than this are one
 ROUNDS = 25  # of a fit
 
@@ -40,6 +41,7 @@ class Search:
     highs: tuple[NDArray[np.float32], ...]
     spans: IntArray
     headings: IntArray
+    shapes: dict[tuple[int, int, int, int], Any] = field(default_factory=dict)  # of regions, for the next search
     counts: IntArray = field(default_factory=lambda: np.zeros(3, dtype=np.int64))
 
     @property
@@ -164,7 +166,9 @@ def searched(
     complete = True
     work.counts[0] = 0
     for region in _regions(work.chart):
-        ends, places = shape_in(work, region)
+        ends, places = work.shapes.get(region) or shape_in(work, region)
+        if len(work.shapes) < MOST_SHAPES:
+            work.shapes[region] = (ends, places)
         complete = locating.search(
             work.chart.values, work.lows, work.highs, work.spans, work.headings, ends, (places[0], places[1]),
             (work.height, weight, work.offset_weight, rows, cols, work.void_cost), region, limits, found, work.counts,
@@ -186,6 +190,7 @@ class Fit:
     psi: float
     offset: float
     misfit: float
+    sigma: float  # of the position along its worse axis [cells]
     volume: float  # [cells^2 rad], within which the likelihood is about its peak
     points: tuple[FloatArray, FloatArray]  # rows and columns, in the search's order
     residual: FloatArray  # NaN over voids
@@ -231,11 +236,11 @@ def _descended(work: Search, weight: FloatArray, start: FloatArray) -> Fit:
             damping *= 10.0
             if damping > 1e4:
                 break
-    if work.half == 0.0:
-        volume = 2.0 * math.pi / math.sqrt(max(float(np.linalg.det(normal[:2, :2])), 1e-30))
-    else:
-        volume = (2.0 * math.pi) ** 1.5 / math.sqrt(max(float(np.linalg.det(normal)), 1e-30))
-    return replace(best, volume=volume)
+    size = 2 if work.half == 0.0 else 3
+    known, ways = np.linalg.eigh(normal[:size, :size])
+    known = np.maximum(known, 1e-12)
+    sigma = math.sqrt(float(np.linalg.eigvalsh((ways[:2] / known) @ ways[:2].T)[-1]))
+    return replace(best, volume=float(np.prod(np.sqrt(2.0 * math.pi / known))), sigma=sigma)
 
 
 def _placed(work: Search, weight: FloatArray, frame: LocalFrame, start: FloatArray, at: FloatArray) -> Fit:
@@ -253,7 +258,7 @@ def _placed(work: Search, weight: FloatArray, frame: LocalFrame, start: FloatArr
     misfit += work.void_cost * float((~known).sum())
     if row.min() < -1e-6 or col.min() < -1e-6 or row.max() > rows - 1 + 1e-6 or col.max() > cols - 1 + 1e-6:
         misfit = math.inf
-    return Fit(float(at[0]), float(at[1]), float(at[2]), offset, misfit, 0.0, (row, col), d - offset)
+    return Fit(float(at[0]), float(at[1]), float(at[2]), offset, misfit, 0.0, 0.0, (row, col), d - offset)
 
 
 def _normal(work: Search, weight: FloatArray, frame: LocalFrame, fit: Fit) -> tuple[FloatArray, FloatArray]:

@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 
 FIRST_FITS, MOST_FITS = 8, 60  # places fitted below the cell: for a first limit, and at last
 MOST_POINTS = 256  # of a profile; more are thinned out
+PARTS = (0.3, 0.6)  # of the misfit that is usual at most, tried first: a low limit is soon searched
+MOST_SIGMA_CELLS = 2.0  # of a place that is still one
 SCALES = (1.0, 3.0, 10.0, 30.0, 100.0)  # by which the variances grow until some place fits
 
 
@@ -127,6 +129,8 @@ class Place:
         Heights given less the map's, and what remains after it [unit of the map].
     misfit : float
         Sum of squares over variances; about the number of points where the place is right.
+    sigma_m : float
+        1-sigma of the position along its worse axis, the candidate being the right one [m].
     probability : float
         Among the candidates; see `Located.complete` and `tail` for what may lie outside them.
     """
@@ -139,6 +143,7 @@ class Place:
     offset: float
     rms: float
     misfit: float
+    sigma_m: float
     probability: float
 
 
@@ -198,13 +203,13 @@ def locate(track: Track, chart: Map, settings: LocateSettings | None = None) -> 
     settings = settings or LocateSettings()
     work = _prepared(track, chart, settings)
     margin, usual = _margin(chart, settings.tail), float(chi2.ppf(0.9999, work.height.size))
-    fits: list[Fit] = []
-    for scale in SCALES:  # first some place that fits, then all that are within the margin of it
-        weight = work.weight / scale
-        kept, _, complete = searched(work, weight, usual, 0.0, settings.most_places)
+    most, fits = settings.most_places, list[Fit]()
+    for scale, part in [(1.0, part) for part in PARTS] + [(scale, 1.0) for scale in SCALES]:
+        weight = work.weight / scale  # first some place that fits, then all that are within the margin of it
+        kept, _, complete = searched(work, weight, part * usual, 0.0, most)
         fits, left = fitted(work, weight, kept, margin, FIRST_FITS)
         if fits and fits[0].misfit <= usual:
-            kept, limit, complete = searched(work, weight, fits[0].misfit + margin, margin, settings.most_places)
+            kept, limit, complete = searched(work, weight, fits[0].misfit + margin, margin, most)
             fits, left = fitted(work, weight, kept, margin, MOST_FITS)
             margin = max(limit - fits[0].misfit, 0.0)
             break
@@ -284,6 +289,8 @@ def _judged(work: Search, fits: list[Fit], settings: LocateSettings, found: tupl
         reasons.append("no place on the map fits")
     elif places[0].probability < settings.certain:
         reasons.append(f"the best place has a probability of {places[0].probability:.3f} among {len(places)} places")
+    if places and places[0].sigma_m > MOST_SIGMA_CELLS * work.chart.cell_m:
+        reasons.append(f"the best place is known to {places[0].sigma_m:.0f} m (1-sigma) along one axis alone")
     if scale > 1.0 and places:
         reasons.append(f"no place fits unless the variances are {scale:g} times as large")
     return Located(
@@ -297,4 +304,13 @@ def _place(work: Search, fit: Fit, probability: float) -> Place:
     last, first = int(np.argmax(work.along)), int(np.argmin(work.along))
     ends = [lat_lon(work.chart, float(fit.points[0][k]), float(fit.points[1][k])) for k in (last, first)]
     rms = float(np.sqrt(np.nanmean(fit.residual**2)))
-    return Place(*ends[0], *ends[1], math.degrees(fit.psi), fit.offset, rms, fit.misfit, probability)
+    return Place(
+        *ends[0],
+        *ends[1],
+        math.degrees(fit.psi),
+        fit.offset,
+        rms,
+        fit.misfit,
+        fit.sigma * work.chart.cell_m,
+        probability,
+    )
