@@ -16,7 +16,7 @@ import pytest
 
 import terranav as tn
 from terranav.app.cli import main
-from terranav.app.mapview import map_page, pack, relief, view_of
+from terranav.app.mapview import map_page, map_png, pack, relief, view_of
 from terranav.io.raster_out import write_map
 from terranav.maps.map import Map
 
@@ -104,6 +104,30 @@ def test_a_projected_map_is_said_to_be_resampled() -> None:
     view = view_of(chart)
     assert "resampled" in view.note
     np.testing.assert_allclose(np.nanmean(view.values), np.nanmean(HEIGHTS), atol=5.0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "transform", "crs"),
+    [
+        ((2, 2), (1.0, 0.0, 9.0, 0.0, -1.0, 46.0), "EPSG:4326"),
+        ((3, 400), (0.01, 0.0, 9.0, 0.0, -0.01, 46.0), "EPSG:4326"),
+        ((400, 3), (0.01, 0.0, 9.0, 0.0, -0.01, 46.0), "EPSG:4326"),
+        ((90, 180), (2.0, 0.0, -180.0, 0.0, -2.0, 90.0), "EPSG:4326"),
+        ((50, 60), (0.01, 0.0, 179.7, 0.0, 0.01, -17.0), "EPSG:4326"),  # across the antimeridian, south up
+        ((80, 80), (2e4, 0.0, -8e5, 0.0, -2e4, 8e5), "EPSG:3413"),  # with the pole
+        ((80, 80), (1e5, 0.0, -4e6, 0.0, -1e5, 4e6), "+proj=ortho +lat_0=47 +lon_0=9"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_maps_of_any_shape_and_place_are_drawn(
+    shape: tuple[int, int], transform: tuple[float, float, float, float, float, float], crs: str
+) -> None:
+    chart = Map(np.random.default_rng(1).uniform(0.0, 100.0, shape), transform, crs)
+    view = view_of(chart)
+    assert np.isfinite(view.values).any()
+    assert map_png(chart, view).startswith(b"\x89PNG")
+    values, _ = decoded(map_page(chart, view))
+    np.testing.assert_array_equal(np.isnan(values), np.isnan(view.values))
 
 
 def test_relief_is_transparent_where_void_and_casts_no_shade_from_there() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -250,6 +251,7 @@ def test_names_of_tiles() -> None:
         ("https://x.y/{lat2}{lon}", BOX, 1.0, "unknown field in --template 'lat2'"),
         ("https://x.y/{lat", BOX, 1.0, "expected '}'"),
         ("https://x.y/{lat:02d}{lon}", BOX, 1.0, "carries a format"),
+        ("https://x.y/{lat}%00{lon}", BOX, 1.0, "printable"),
         ("https://x.y/{lat}", BOX, 1.0, "no field for the latitude or the longitude"),
         ("ftp://x.y/{lat}{lon}", BOX, 1.0, "begins with http"),
         ("https://x.y/{lat02}{lon}", BOX, 0.5, "needs whole degrees"),
@@ -265,6 +267,13 @@ def test_bad_questions(template: str, box: tuple[float, float, float, float], si
     with pytest.raises(ConfigError) as caught:
         tiles(template, box, side)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("more", [{"attempts": 0}, {"timeout_s": float("nan")}, {"timeout_s": 0.0}])
+def test_bad_patience(server: Server, tmp_path: Path, more: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="expected a finite number"):
+        fetched(server, tmp_path, **more)
+    assert server.asked == []
 
 
 def test_a_fetched_tile_opens(server: Server, tmp_path: Path) -> None:

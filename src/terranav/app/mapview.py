@@ -74,7 +74,8 @@ def view_of(chart: Map, longest: int = LONGEST) -> View:
     rows, cols = (min(size, longest) for size in chart.shape)
     lat, lon = np.linspace(north, south, rows), np.linspace(west, east, cols)
     at_row, at_col = chart.cells(lat[:, None], lon[None, :])
-    off = np.abs([at_row - np.round(at_row), at_col - np.round(at_col)]).max()
+    at = np.stack([at_row, at_col])
+    exact = bool(np.isfinite(at).all() and np.abs(at - np.round(at)).max() < 1e-4)
     values = chart.sample(lat[:, None], lon[None, :])
     half_lat, half_lon = 0.5 * (north - south) / (rows - 1), 0.5 * (east - west) / (cols - 1)
     known = (
@@ -87,7 +88,7 @@ def view_of(chart: Map, longest: int = LONGEST) -> View:
         low=low,
         high=high if high > low else low + 1.0,
         thinned=(rows, cols) != chart.shape,
-        exact=bool(off < 1e-4),
+        exact=exact,
     )
 
 

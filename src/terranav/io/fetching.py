@@ -139,11 +139,12 @@ def fetch_tiles(
         refuses or stays broken; or none of the tiles exists.
     """
     wanted = tiles(template, box, tile_deg)
+    trouble = Trouble(int(finite("--attempts", attempts, minimum=1)), finite("--timeout", timeout_s, above=0.0), pause)
     folder = Path(cache)
     with _writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with _writable(folder), _alone(folder):
-        found = [_one(tile, folder, refresh, Trouble(attempts, timeout_s, pause)) for tile in wanted]
+        found = [_one(tile, folder, refresh, trouble) for tile in wanted]
     if all(one.state == "missing" for one in found):
         raise DataError(f"none of the {len(found)} tiles exists, such as {shown(found[0].tile.url)} (404)")
     return found
@@ -257,11 +258,13 @@ def _tile(template: str, lat: float, lon: float) -> Tile:
     }
     values |= {"ns": values["NS"].lower(), "ew": values["EW"].lower()}
     last = urllib.parse.urlsplit(template).path.rsplit("/", 1)[-1]
-    name = urllib.parse.unquote(last.format(**values)).replace("/", "_").strip(". ")
+    name = urllib.parse.unquote(last.format(**values)).replace("/", "_").replace("\\", "_").strip(". ")
     inside = {part[1] for part in string.Formatter().parse(last)}
     if not (inside & {"lat", "lat02"} and inside & {"lon", "lon03"}):  # the folders of the address make the difference
         corner = f"{values['NS']}{abs(lat):g}{values['EW']}{abs(lon):g}"
         name = f"{corner}-{name}" if name else corner
+    if not name.isprintable():
+        raise ConfigError(f"--template {template!r}: makes the file name {name!r}, expected printable characters")
     return Tile(lat, lon, template.format(**values), name)
 
 
