@@ -72,6 +72,14 @@ def test_agrees_with_the_bound_on_a_real_map(shared_data: Path) -> None:
     assert (np.abs(told - 1.0) < 0.25).sum() >= 9
 
 
+def test_a_fast_sensor_is_not_overrated(hills: Map) -> None:
+    """More readings than are followed count for what they are worth, or a little less."""
+    fast = replace(LEGS, rate_hz=10.0, sensor_sigma=2.0)
+    told = ratios(hills, suitability(hills, WALKING, fast), WALKING, 6, 4)
+    assert min(told) > 0.9
+    assert max(told) < 1.3
+
+
 def test_a_window_is_the_same_whatever_stands_before_it(hills: Map, found: Suitability) -> None:
     """Legs end at the same places of a smaller map, whose lines are cut elsewhere."""
     _, west, north, east = hills.bounds_deg
@@ -186,6 +194,7 @@ def test_two_short_legs_are_one_long() -> None:
         ("headings", 0),
         ("headings", 2.5),
         ("block", True),
+        ("readings_a_cell", 0),
         ("anchor", "middle"),
     ],
 )

@@ -14,7 +14,7 @@ The bound is that of small errors: it does not know of the other valley that loo
 
 What is approximate: a leg ends within half a block of its place, its length is a whole number of steps of one block
 (root 2 of that on the diagonal), readings stand evenly on a step and carry the information of rate x time whatever
-their number, at most two a cell; north and east are those of the middle latitude of the map, and no vehicle turns, so
+their number, at most a few a cell; north and east are those of the middle latitude of the map, and no vehicle turns, so
 that tilt and accelerometer bias are one state. All windows of a line share their work (`terranav.kernels.suitability`),
 so the time is linear in the cells of the map whatever the leg's length.
 """
@@ -68,6 +68,8 @@ class LegSettings:
         Side of a block [cells], >= 1.
     anchor : 'end' or 'start'
         Whether a leg ends or starts at its place.
+    readings_a_cell : int
+        Of a faster sensor so many are followed, 1 to 100, each worth several; fewer are quicker and tell too little.
 
     Raises
     ------
@@ -82,11 +84,12 @@ class LegSettings:
     headings: int = 8
     block: int = 4
     anchor: str = "end"
+    readings_a_cell: int = 4
 
     def __post_init__(self) -> None:
         for name in ("sensor_sigma", "rate_hz", "speed_mps", "distance_m"):
             finite(f"suitability {name}", getattr(self, name), above=0.0)
-        for name, most in (("headings", 72), ("block", 1000)):
+        for name, most in (("headings", 72), ("block", 1000), ("readings_a_cell", 100)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
                 raise ConfigError(f"suitability {name} is {value!r}, expected a whole number from 1 to {most}")
@@ -286,7 +289,7 @@ def _heading(
             f"expected at most {MOST_STEPS} steps"
         )
     wanted = settings.rate_hz * step_s
-    subs = max(1, min(round(wanted), math.ceil(2.0 * step_m / chart.cell_m)))
+    subs = max(1, min(round(wanted), math.ceil(settings.readings_a_cell * step_m / chart.cell_m)))
     scaled = _scaled(model, chart, step_s / subs, step_m / subs)
     cov = np.full((3, *grid.shape), np.nan)
     out = np.empty((lines.along - 1, 3))
