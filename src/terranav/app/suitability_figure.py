@@ -132,5 +132,5 @@ def _key(figure: Figure, limit_m: float) -> None:
     )
     handles = [Patch(facecolor=colour, alpha=0.75, label=text) for colour, text in entries]
     handles.append(Patch(facecolor="#f1f1f1", edgecolor="#c5c5c5", hatch="///", label="void"))
-    handles.append(Patch(facecolor="#e6d8bd", label="plain: map too short for the leg"))
+    handles.append(Patch(facecolor="#e6d8bd", label="plain: no heading with a whole leg"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5)
