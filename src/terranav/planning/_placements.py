@@ -201,7 +201,9 @@ def fitted(work: Search, weight: FloatArray, kept: FloatArray, margin: float, mo
     fits: list[Fit] = []
     left = kept[np.argsort(kept[:, 3], kind="stable")]
     cell = (2.0 * work.half / work.headings[0, 1]) or 1.0
-    while len(left) and len(fits) < most:
+    for _ in range(most):
+        if not len(left):
+            break
         start = left[0]
         fit = _descended(work, weight, start)
         near = (np.abs(left[:, :2] - start[:2]).max(axis=1) <= APART_CELLS) | (

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 FIRST_FITS, MOST_FITS = 8, 60  # places fitted below the cell: for a first limit, and at last
 MOST_POINTS = 256  # of a profile; more are thinned out
 PARTS = (0.3, 0.6)  # of the misfit that is usual at most, tried first: a low limit is soon searched
-MOST_SIGMA_CELLS = 2.0  # of a place that is still one
+MOST_SIGMA_CELLS = 0.75  # of a place that counts as known: within two cells at 99 %
 SCALES = (1.0, 3.0, 10.0, 30.0, 100.0)  # by which the variances grow until some place fits
 
 
