@@ -54,7 +54,23 @@ def test_import_and_help_load_nothing_heavy(first: str) -> None:
     assert loaded & HEAVY == set()
 
 
-@pytest.mark.parametrize("command", ["demo", "run", "compare", "simulate", "convert", "map", "estimators", "map info"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "demo",
+        "run",
+        "compare",
+        "simulate",
+        "convert",
+        "map",
+        "estimators",
+        "map info",
+        "map view",
+        "map fetch",
+        "bench",
+        "plan",
+    ],
+)
 def test_help_of_every_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*command.split(), "--help"]) == 0
     out, err = capsys.readouterr()
