@@ -71,7 +71,7 @@ def test_limits_of_this_machine_are_positive_and_cached() -> None:
 
 def test_a_benchmark_by_name_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert "growth" not in table.names()
-    assert {"point_mass", "sampling"} <= set(table.names())
+    assert {"pointmass", "sampling"} <= set(table.names())
     status = main(["bench", "normals", "--json"])
     said = capsys.readouterr()
     rows = json.loads(said.out)["rows"]
