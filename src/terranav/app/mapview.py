@@ -15,8 +15,7 @@ from matplotlib.image import imsave
 from numpy.typing import NDArray
 
 from terranav.app.style import new_figure, png, styled
-from terranav.app.trackmap import _hillshade as hillshade
-from terranav.app.trackmap import dress
+from terranav.app.trackmap import dress, hillshade
 from terranav.app.words import distance
 from terranav.core.earth import metres_per_degree
 

@@ -68,7 +68,7 @@ def shade(axes: Axes, chart: Map, frame: Frame) -> None:
     per_lat, per_lon = metres_per_degree(0.5 * (south + north))
     dy, dx = (north - south) / rows * float(per_lat), (east - west) / cols * float(per_lon)
     filled = np.where(known, values, np.median(values[known]))
-    light = _hillshade(filled, dx, dy)
+    light = hillshade(filled, dx, dy)
     low, high = np.percentile(values[known], [1, 99])
     scaled = np.clip((filled - low) / max(high - low, 1e-9), 0, 1)
     picture = np.empty((rows, cols, 4))
@@ -223,7 +223,7 @@ def _aspect(frame: Frame) -> float:
     return float((east - west) * per_lon / ((north - south) * per_lat))
 
 
-def _hillshade(values: FloatArray, dx: float, dy: float) -> FloatArray:
+def hillshade(values: FloatArray, dx: float, dy: float) -> FloatArray:
     """Light in 0..1 from the north-west, exaggerated so that any roughness shows."""
     south_slope, east_slope = np.gradient(values, dy, dx)
     rough = float(np.sqrt(np.mean(south_slope**2 + east_slope**2)))
