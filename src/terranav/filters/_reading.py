@@ -69,10 +69,11 @@ def compared(
     """Compare a reading with map `number`; `blur2` [m^2] and `reach` [unit] as in `Seen.told` and `Seen.reach`."""
     chart, bias = model.maps[number], model.inertial + 2 * number
     radius = kernels.reach_of(cloud.rows) * math.sqrt(2.0)
-    frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
+    land = chart.around(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
+    frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
     residual, slope2 = np.empty_like(cloud.weight), np.empty_like(cloud.weight)
     known, mean, variance, steep = kernels.compare(
-        chart.values, np.array((frame.row, frame.col)), cloud.rows, cloud.weight, reading.value, bias, residual, slope2
+        land.values, np.array((frame.row, frame.col)), cloud.rows, cloud.weight, reading.value, bias, residual, slope2
     )
     gain = cloud.common[bias] + cloud.common[bias + 1]
     told = reading.sigma**2, blur2

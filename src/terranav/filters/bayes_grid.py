@@ -145,13 +145,14 @@ class BayesGrid(PointMass):
         """The map at the place of each cell, NaN where it says nothing."""
         north, east = grid.north_m, grid.east_m
         radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
-        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
+        land = chart.around(epoch.lat_deg, epoch.lon_deg, radius)
+        frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
         out = np.empty_like(grid.density)
         if self.interpolation == "bilinear":
-            bilinear_lattice(chart.values, frame.row, frame.col, -north, -east, out)
+            bilinear_lattice(land.values, frame.row, frame.col, -north, -east, out)
         else:
             row, col = np.broadcast_arrays(*frame.cells(-north[:, None], -east[None, :]))
-            bicubic(chart.values, row.ravel(), col.ravel(), out.reshape(-1))
+            bicubic(land.values, row.ravel(), col.ravel(), out.reshape(-1))
         return out
 
     def _likelihood(self, away: FloatArray, grid: Grid, sigma: float, change: float) -> FloatArray | None:

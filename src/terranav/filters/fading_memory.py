@@ -208,19 +208,20 @@ class FadingMemory:
         assert epoch is not None
         north, east = memory.north_m, memory.east_m
         radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
-        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
-        height, slope = _under(state.mean_m, chart, frame)
+        land = chart.around(epoch.lat_deg, epoch.lon_deg, radius + math.hypot(*state.mean_m) + chart.cell_m)
+        frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
+        height, slope = _under(state.mean_m, land, frame)
         known = not math.isnan(height)
         sigma = reading_sigma(reading, chart, state.last_reading, epoch)
         after, coefficients = np.empty_like(memory.surface), np.stack([frame.row, frame.col])
         given = (reading.value, 1.0 / sigma**2)
-        unknown = recall(chart.values, coefficients, (north, east), given, self.alpha, memory.surface, after)
+        unknown = recall(land.values, coefficients, (north, east), given, self.alpha, memory.surface, after)
         if unknown == after.size:  # nothing to compare with: not a reading
             return state, math.nan, known
         missing = memory.missing
         if unknown or missing is not None:
             heights = np.empty_like(after)
-            bilinear_lattice(chart.values, frame.row, frame.col, -north, -east, heights)
+            bilinear_lattice(land.values, frame.row, frame.col, -north, -east, heights)
             missing = self.alpha * (0.0 if missing is None else missing) + np.isnan(heights)
         memory = self._added(state, after, missing, slope / sigma)
         if state.fix_m is None or not known:

@@ -139,10 +139,12 @@ class Particle:
         for reading in epoch.measurements:
             for chart in self.maps:
                 if chart.kind == reading.kind:
-                    told = self._told(state, epoch, chart, reading)
+                    far = math.hypot(*(max(abs(end) for end in extent(axis)) for axis in (north, east)))
+                    land = chart.around(epoch.lat_deg, epoch.lon_deg, max(far, chart.cell_m))
+                    told = self._told(state, epoch, (chart, land), reading)
                     out = _blocks.empty((self.particles,)) if known else block[2]
                     share, innovation2, effective, found = kernels.weigh_cloud(
-                        chart.values, *told, north, east, weight, state.mean_m, out
+                        land.values, *told, north, east, weight, state.mean_m, out
                     )
                     weight = out
                     known.append(share)
@@ -196,11 +198,12 @@ class Particle:
         return out[0], out[1]
 
     def _told(
-        self, state: ParticleState, epoch: Epoch, chart: Map, reading: Measurement
+        self, state: ParticleState, epoch: Epoch, maps: tuple[Map, Map], reading: Measurement
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The local frame (2, 6), the reading (2,) and its outliers (2,), as the kernel takes them."""
+        """The local frame (2, 6) of a map's part, the reading (2,) and its outliers (2,), as the kernel takes them."""
+        chart, land = maps
         radius = math.hypot(*state.mean_m) + 6.0 * largest_sigma_m(state.cov_m2)
-        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
+        frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, max(radius, chart.cell_m))
         sigma = reading_sigma(reading, chart, state.last_reading, epoch)
         outliers = np.array([self.outlier_share, self.outlier_scale])
         return np.stack([frame.row, frame.col]), np.array([reading.value, sigma]), outliers

@@ -293,14 +293,15 @@ class PointMass:
         density, cell, south, west = grid.density, grid.cell_m, grid.south_m, grid.west_m
         high, wide = (0.5 * cell * (side - 1) for side in density.shape)
         radius = math.hypot(abs(south + high) + high, abs(west + wide) + wide)
-        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
+        land = chart.around(epoch.lat_deg, epoch.lon_deg, radius)
+        frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
         out = np.empty_like(density)
         found = advance(
             density,
             growth_m2[0] / (cell * cell),
             growth_m2[1] / (cell * cell),
             (south, west, cell),
-            chart.values,
+            land.values,
             (frame.row, frame.col),
             (reading.value, sigma, RESOLVE, self.outlier_share, self.outlier_scale),
             out,

@@ -332,9 +332,10 @@ class Viterbi:
         """The state after one reading, the share of probability that is on the map, and the NIS."""
         north, east = state.north_m, state.east_m
         radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
-        frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
+        land = chart.around(epoch.lat_deg, epoch.lon_deg, radius)
+        frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
         field = _blocks.empty(state.score.shape)
-        bilinear_lattice(chart.values, frame.row, frame.col, -north, -east, field)
+        bilinear_lattice(land.values, frame.row, frame.col, -north, -east, field)
         sigma = reading_sigma(reading, chart, state.last_reading, epoch)
         first, second = self.degrees_of_freedom, 0.0
         if self.noise == "mixture":

@@ -142,7 +142,8 @@ def weighed(
         sigma = KINDS[reading.kind].bias_sigma
         before = Evidence(np.zeros(n), (10.0 * sigma) ** 2 + chart.sigma**2, np.zeros(n))
     far = math.hypot(*centre_m.tolist()) + 1.5 * rivals.reach_m
-    frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, max(far, chart.cell_m))
+    land = chart.around(epoch.lat_deg, epoch.lon_deg, max(far, chart.cell_m))
+    frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, max(far, chart.cell_m))
     white = (factor * reading.sigma) ** 2
     out = np.empty((5, n))
     numbers = (
@@ -150,7 +151,7 @@ def weighed(
         math.log(budget) - CERTAIN, FADING,
     )  # fmt: skip
     kernels.weigh_rivals(
-        chart.values, np.array((frame.row, frame.col)), centre_m, node, rivals.shift_m, before.bias, rivals.odds,
+        land.values, np.array((frame.row, frame.col)), centre_m, node, rivals.shift_m, before.bias, rivals.odds,
         before.recent, np.array(numbers), out,
     )  # fmt: skip
     settled = before.variance * white / (before.variance + white)
@@ -204,12 +205,13 @@ def rank(rivals: Rivals, window: Window, chart: Map, readings: int) -> float:
     nodes, distance = _lattice()
     far = nodes.T[distance > NEAR][::RANKED] * rivals.spacing_m
     reach = 1.5 * rivals.reach_m + float(np.abs(rows[:, CENTRE]).max())
-    at = [chart.local_frame(lat, lon, max(reach, chart.cell_m)) for lat, lon in rows[:, PLACE]]
+    land = chart.around(*rows[:, PLACE].T, max(reach, chart.cell_m))
+    at = [land.local_frame(lat, lon, max(reach, chart.cell_m)) for lat, lon in rows[:, PLACE]]
     frames = np.array([(frame.row, frame.col) for frame in at])
     found = np.empty(1 + len(far))
     node = np.concatenate([np.zeros((1, 2)), far])
     kernels.scatter(
-        chart.values, frames, np.ascontiguousarray(rows[:, CENTRE]), np.ascontiguousarray(rows[:, VALUE]), node, found
+        land.values, frames, np.ascontiguousarray(rows[:, CENTRE]), np.ascontiguousarray(rows[:, VALUE]), node, found
     )
     known = found[1:][np.isfinite(found[1:])]
     return float(np.mean(known <= found[0])) if known.size and np.isfinite(found[0]) else 1.0

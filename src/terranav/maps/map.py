@@ -190,6 +190,19 @@ class Map:
         )
         return inside
 
+    def around(self, lat_deg: ArrayLike, lon_deg: ArrayLike, radius_m: float) -> Map:
+        """The map near places, with `values` in memory: itself here, a window of a `Mosaic`.
+
+        Who reads `values` by rows and columns asks for this first; `local_frame` of what it gives fits those values.
+
+        Parameters
+        ----------
+        lat_deg, lon_deg : array_like, shapes that broadcast [deg]
+        radius_m : float [m]
+            How far from any of the places it will be used.
+        """
+        return self
+
     def local_frame(self, lat_deg: float, lon_deg: float, radius_m: float = 5000.0) -> LocalFrame:
         """The map's rows and columns as a quadratic in metres north and east of a place.
 

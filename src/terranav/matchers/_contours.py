@@ -87,6 +87,7 @@ class Optimisations:
 class _Frame:
     """The INS trace in metres about its middle, and the map there."""
 
+    land: Map
     row: FloatArray
     col: FloatArray
     metric: FloatArray
@@ -119,7 +120,7 @@ def solve(task: Task, errors_m: FloatArray, step_errors: FloatArray, limits: tup
     kernel = (frame.row, frame.col, frame.metric)
     out, score = np.empty_like(starts), np.empty((len(starts), 3))
     bounds = (task.weight, task.reach_m, limits[0], float(limits[1]))
-    optimise(task.chart.values, kernel, task.profile.value, first, steps, starts, size, bounds, out, score)
+    optimise(frame.land.values, kernel, task.profile.value, first, steps, starts, size, bounds, out, score)
     points = np.empty((len(out), *frame.points_m.shape))
     for p, x in zip(out, points, strict=True):
         trace(p, first, steps, x)
@@ -132,19 +133,21 @@ def _frame(task: Task, search_m: float) -> _Frame:
     middle = profile.epochs[len(profile.epochs) // 2]
     north, east = offset_m(middle.lat_deg, middle.lon_deg, profile.lat_deg, profile.lon_deg)
     radius = float(np.hypot(north, east).max()) + search_m + task.reach_m
-    frame = task.chart.local_frame(middle.lat_deg, middle.lon_deg, radius)
+    land = task.chart.around(middle.lat_deg, middle.lon_deg, 1.5 * radius)  # the simplex may stray
+    frame = land.local_frame(middle.lat_deg, middle.lon_deg, radius)
     metric = np.linalg.inv(np.array([frame.row[1:3], frame.col[1:3]]))
-    return _Frame(frame.row, frame.col, metric, np.stack([north, east], axis=1), middle.lat_deg, middle.lon_deg)
+    points = np.stack([north, east], axis=1)
+    return _Frame(land, frame.row, frame.col, metric, points, middle.lat_deg, middle.lon_deg)
 
 
 def _valued(task: Task, frame: _Frame, points: FloatArray, score: FloatArray) -> Optimisations:
     """Keep the results that mean something, best first, and find out what they are worth."""
     lat, lon = shift(frame.lat_deg, frame.lon_deg, points[..., 0], points[..., 1])
     misfit = (task.profile.value - task.chart.sample(lat, lon)) / task.sigma
-    row, col = task.chart.cells(lat, lon)
+    row, col = frame.land.cells(lat, lon)
     near = np.empty((row.size, 3))
     level = np.broadcast_to(task.profile.value, row.shape).ravel()
-    nearest_points(task.chart.values, row.ravel(), col.ravel(), level, frame.metric, task.reach_m, near)
+    nearest_points(frame.land.values, row.ravel(), col.ravel(), level, frame.metric, task.reach_m, near)
     found = np.isfinite(near[:, 0]).reshape(row.shape) & np.isfinite(misfit)
     on_map = np.isfinite(misfit).mean(axis=1) >= LEAST_VALID
     kept = np.flatnonzero(on_map & found.any(axis=1))

@@ -147,14 +147,15 @@ class Tercom:
         """The correlation surface at errors north (p,) and east (q,) [m]."""
         chart = self._map(profile)
         radius = math.hypot(float(np.abs(north).max()), float(np.abs(east).max()))
+        land = chart.around(profile.lat_deg, profile.lon_deg, radius)
         frames = np.empty((len(profile.epochs), 2, 6))
         for k, epoch in enumerate(profile.epochs):
-            frame = chart.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
+            frame = land.local_frame(epoch.lat_deg, epoch.lon_deg, radius)
             frames[k] = frame.row, frame.col
         readings = np.stack([profile.value, self._weights(profile, chart)], axis=1)
         score, valid = np.empty((north.size, east.size)), np.empty((north.size, east.size))
         absolute = self.metric == "mad"
-        correlation_surface(chart.values, frames, readings, (north, east), absolute, self.remove_mean, score, valid)
+        correlation_surface(land.values, frames, readings, (north, east), absolute, self.remove_mean, score, valid)
         score[valid < LEAST_VALID - 1e-9] = np.nan
         return Surface(north, east, score)
 
