@@ -28,24 +28,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terranav.core.checks import finite
-from terranav.core.earth import metres_per_degree, shift
-from terranav.core.errors import ConfigError, DataError
+from terranav.core.earth import shift
+from terranav.core.errors import ConfigError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.records import Epoch, Prior
 from terranav.filters.marginalized import Marginalized
 from terranav.ins.error_state import ErrorModel
-from terranav.kernels.suitability import entropies, likeness, windows
+from terranav.kernels.suitability import windows
 from terranav.maps.map import Map
+from terranav.planning._terrain_statistics import BlockGrid, statistics
 from terranav.planning.bound import mixture_information, patch_slope
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
-MOST_BLOCKS = 4_000_000
 MOST_STEPS = 20_000  # of one leg
 CHUNK = 200_000  # readings looked up at a time
-PATCH_BLOCKS = 3  # half the side of the patch that statistics are taken over
-MOST_REACH = 6  # places looked at on either side for one that is alike
 
 
 @dataclass(frozen=True)
@@ -195,52 +193,15 @@ def suitability(chart: Map, ins: InsGrade | None = None, settings: LegSettings |
         For a map of fewer than two blocks on a side.
     """
     settings, ins = settings or LegSettings(), ins or InsGrade()
-    grid = _Grid.over(chart, settings.block)
+    grid = BlockGrid.over(chart, settings.block)
     headings = 360.0 * np.arange(settings.headings) / settings.headings
     model = ErrorModel(ins, (chart,), ErrorModel.level_for(ins, Epoch(0.0, *chart.centre_deg, 0.0)))
     sigma, drms = np.empty((2, headings.size, *grid.shape), dtype=np.float32)
     for k, heading in enumerate(headings):
         sigma[k], drms[k] = _heading(chart, model, grid, settings, math.radians(heading))
-    roughness, length, entropy, alike = _statistics(chart, grid, settings, ins)
+    roughness, length, entropy, alike = statistics(chart, grid, settings.sensor_sigma, ins.position_sigma_m)
     lat, lon = grid.lat_deg(np.arange(grid.shape[0])), grid.lon_deg(np.arange(grid.shape[1]))
     return Suitability(lat, lon, grid.side_m, headings, sigma, drms, roughness, length, entropy, alike, settings, ins)
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """Blocks: square in metres at the middle latitude."""
-
-    shape: tuple[int, int]
-    north_deg: float  # of the middle of the first row
-    west_deg: float
-    step_deg: tuple[float, float]
-    side_m: float
-
-    @classmethod
-    def over(cls, chart: Map, block: int) -> _Grid:
-        south, west, north, east = chart.bounds_deg
-        per_deg = [float(value) for value in metres_per_degree(0.5 * (south + north))]
-        side = block * chart.cell_m
-        step = side / per_deg[0], side / per_deg[1]
-        rows, cols = int((north - south) / step[0] + 1e-9), int((east - west) / step[1] + 1e-9)
-        if min(rows, cols) < 2:
-            raise DataError(
-                f"{chart.name}: {chart.shape[0]} x {chart.shape[1]} cells hold {rows} x {cols} blocks "
-                f"of {block} cells, expected at least 2 x 2"
-            )
-        if rows * cols > MOST_BLOCKS:
-            raise ConfigError(
-                f"suitability block is {block}, which makes {rows} x {cols} blocks of {chart.name}, "
-                f"expected at most {MOST_BLOCKS}"
-            )
-        first = north - 0.5 * (north - south - (rows - 1) * step[0]), west + 0.5 * (east - west - (cols - 1) * step[1])
-        return cls((rows, cols), *first, step, side)
-
-    def lat_deg(self, row: FloatArray | NDArray[np.intp]) -> FloatArray:
-        return np.asarray(self.north_deg - row * self.step_deg[0], dtype=np.float64)
-
-    def lon_deg(self, col: FloatArray | NDArray[np.intp]) -> FloatArray:
-        return np.asarray(self.west_deg + col * self.step_deg[1], dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -276,7 +237,7 @@ class _Lines:
 
 
 def _heading(
-    chart: Map, model: ErrorModel, grid: _Grid, settings: LegSettings, heading: float
+    chart: Map, model: ErrorModel, grid: BlockGrid, settings: LegSettings, heading: float
 ) -> tuple[Float32Array, Float32Array]:
     """Largest 1-sigma and DRMS (rows, cols) of one heading [m]."""
     lines = _Lines.of(grid.shape, heading)
@@ -325,7 +286,7 @@ def _scaled(
 
 
 def _readings(
-    chart: Map, grid: _Grid, lines: _Lines, numbers: NDArray[np.intp], reading: tuple[int, float, float]
+    chart: Map, grid: BlockGrid, lines: _Lines, numbers: NDArray[np.intp], reading: tuple[int, float, float]
 ) -> FloatArray:
     """(lines, steps, subs, 3) slopes and information, NaN off the map.
 
@@ -346,51 +307,3 @@ def _readings(
         information = worth * np.interp(reach, at, kept) / white
         found[near] = np.where(known[:, None], np.column_stack([slopes, information]), np.nan)
     return found.reshape(len(numbers), lines.along - 1, subs, 3)
-
-
-def _statistics(chart: Map, grid: _Grid, settings: LegSettings, ins: InsGrade) -> list[Float32Array]:
-    """Roughness, correlation length, entropy and self-similarity (rows, cols)."""
-    block, (rows, cols) = settings.block, grid.shape
-    fine = [(np.arange(size * block) + 0.5) / block - 0.5 for size in grid.shape]
-    values = np.concatenate(
-        [chart.sample(grid.lat_deg(part)[:, None], grid.lon_deg(fine[1])[None, :]) for part in _parts(fine[0])]
-    )
-    spacing = grid.side_m / block
-    down, right = np.gradient(values, spacing)
-    half = PATCH_BLOCKS * block
-    slope2, mean = _around(down**2 + right**2, block, half), _around(values, block, half)
-    base = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
-    spread2 = np.maximum(_around((values - base) ** 2, block, half) - (mean - base) ** 2, 0.0)
-    roughness = np.sqrt(np.maximum(slope2, 0.0))  # rounding of the running sums
-    with np.errstate(divide="ignore", invalid="ignore"):
-        length = np.where(roughness > 0.0, 2.0 * np.sqrt(spread2) / roughness, np.nan)
-    entropy, alike = np.empty(grid.shape), np.empty(grid.shape)
-    entropies(values, block, half, math.hypot(settings.sensor_sigma, chart.sigma), entropy)
-    coarse = values.reshape(rows, block, cols, block).mean(axis=(1, 3))
-    reach = int(np.clip(round(2.0 * ins.position_sigma_m / grid.side_m), 2, MOST_REACH))
-    likeness(coarse, PATCH_BLOCKS, 1, reach, alike)
-    return [grid_.astype(np.float32) for grid_ in (roughness, length, entropy, alike)]
-
-
-def _parts(rows: FloatArray) -> list[FloatArray]:
-    """Rows in pieces, so that a large map needs no more than a few arrays of its own size."""
-    return np.array_split(rows, max(1, rows.size // 256))
-
-
-def _around(values: FloatArray, block: int, half: int) -> FloatArray:
-    """Mean over the cells within `half` of the middle of each block, by running sums; NaN with a void among them."""
-    void = np.isnan(values)
-    sums = [np.pad(np.where(void, 0.0, values), ((1, 0), (1, 0))), np.pad(void.astype(np.float64), ((1, 0), (1, 0)))]
-    total, voids = (part.cumsum(axis=0).cumsum(axis=1) for part in sums)
-    ends = []
-    for size in values.shape:
-        middle = np.arange(size // block) * block + block // 2
-        ends.append((np.maximum(middle - half, 0), np.minimum(middle + half, size)))
-    (top, bottom), (left, right) = ends
-
-    def boxed(part: FloatArray) -> FloatArray:
-        rows = part[bottom] - part[top]
-        return np.asarray(rows[:, right] - rows[:, left])
-
-    area = np.outer(bottom - top, right - left)
-    return np.where(boxed(voids) > 0.5, np.nan, boxed(total) / area)
