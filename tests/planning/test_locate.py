@@ -14,7 +14,8 @@ from terranav.core.errors import ConfigError, DataError
 from terranav.kernels import locating
 from terranav.maps.fields import plane_map
 from terranav.maps.map import Map
-from terranav.planning._placements import TOP, _regions, fitted, searched, shape_in
+from terranav.planning._fits import fitted
+from terranav.planning._placements import TOP, regions_of, searched, shape_in
 from terranav.planning.locate import LocateSettings, Track, _margin, _prepared, locate
 
 FloatArray = NDArray[np.float64]
@@ -109,41 +110,44 @@ def test_nothing_is_skipped_that_exhaustive_search_finds(seed: int, sigma: float
     assert fits[0].misfit <= best + 1e-9
     if sigma < 10.0:
         assert left == 0
-        assert len(kept) < 0.02 * chart.values.size * work.headings[0, 1]
+        assert len(kept) < 0.02 * chart.values.size * work.shapes[0, 1]
 
 
 @pytest.mark.parametrize(
-    ("crs", "transform", "heading_deg"),
+    ("crs", "transform", "heading_deg", "scale"),
     [
-        ("EPSG:4326", (1e-3, 0.0, 9.0, 0.0, -1e-3, 61.0), 2.0),
-        ("EPSG:4326", (1e-3, 0.0, 9.0, 0.0, 1e-3, -41.0), 30.0),
-        ("EPSG:32632", (80.0, 0.0, 700_000.0, 0.0, -80.0, 6_700_000.0), 5.0),
+        ("EPSG:4326", (1e-3, 0.0, 9.0, 0.0, -1e-3, 61.0), 2.0, 0.0),
+        ("EPSG:4326", (1e-3, 0.0, 9.0, 0.0, 1e-3, -41.0), 30.0, 0.02),
+        ("EPSG:4326", (1e-3, 0.0, 9.0, 0.0, -1e-3, 71.0), 180.0, 0.0),
+        ("EPSG:32632", (80.0, 0.0, 700_000.0, 0.0, -80.0, 6_700_000.0), 5.0, 0.1),
+        ("EPSG:32632", (60.0, 50.0, 700_000.0, 50.0, -60.0, 6_700_000.0), 0.0, 0.2),
     ],
 )
 def test_the_cells_of_a_block_hold_all_its_placements(
-    crs: str, transform: tuple[float, float, float, float, float, float], heading_deg: float
+    crs: str, transform: tuple[float, float, float, float, float, float], heading_deg: float, scale: float
 ) -> None:
     """At any place in the block, any heading in the interval, and the shape that the map gives the track just there."""
     rng = np.random.default_rng(7)
     chart = Map(rng.random((300, 400)), transform, crs, sigma=1.0)
     along = np.linspace(0.0, 15_000.0, 30)
     track = Track(0.6 * along, 0.8 * along + 500.0 * np.sin(along / 2000.0), along % 77.0, 5.0)
-    work = _prepared(track, chart, LocateSettings(heading_deg=heading_deg))
-    for i0, i1, j0, j1 in _regions(chart)[::2]:
+    work = _prepared(track, chart, LocateSettings(heading_deg=heading_deg, scale=scale))
+    for i0, i1, j0, j1 in regions_of(work)[::2]:
         ends, places = shape_in(work, (i0, i1, j0, j1))
         top, bottom, west, east = ends
-        assert places.shape == (2, work.headings[0, 1], work.height.size)
+        assert places.shape == (2, work.shapes[0, 1], work.height.size)
         for level in range(TOP + 1):
-            begins, count = work.headings[level]
-            block, half = 2**level, work.half / count
+            begins, count = work.shapes[level]
+            block = 2**level
             for _ in range(20):
-                h = int(rng.integers(count))
+                at = begins + int(rng.integers(count))
                 i, j = (int(rng.integers(a, b)) for a, b in ((i0, i1), (j0, j1)))
                 row = min(i - 0.5 + block * rng.random(), i1 - 0.5)
                 col = min(j - 0.5 + block * rng.random(), j1 - 0.5)
-                psi = -work.half + (2 * h + 2 * rng.random()) * half
-                frame, at = work.frame(row, col), begins + h
-                down, right = frame.cells(*work.turned(psi))
+                (psi, factor), (turn, stretch) = work.mids[at], work.halves[at]
+                psi, factor = psi + turn * rng.uniform(-1.0, 1.0), factor * (1.0 + stretch * rng.uniform(-1.0, 1.0))
+                frame = work.frame(row, col)
+                down, right = frame.cells(*work.turned(float(psi), float(factor)))
                 assert (np.floor(down) >= i + top[at]).all()
                 assert (np.ceil(down) <= i + block + bottom[at]).all()
                 assert (np.floor(right) >= j + west[at]).all()
@@ -238,7 +242,8 @@ def in_metres() -> Map:
 
 def test_a_margin_leaves_the_tail_asked_for() -> None:
     chart = rough()
-    assert _margin(chart, 1e-6) > _margin(chart, 1e-3) > 40.0
+    work = _prepared(flown(chart, 0)[0], chart, LocateSettings())
+    assert _margin(work, 1e-6) > _margin(work, 1e-3) > 40.0
 
 
 LINE = np.arange(20.0)

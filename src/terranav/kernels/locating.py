@@ -105,8 +105,9 @@ def excluded(tables, spans, node, ends, data, limit, low, high):
     tables : (lows, highs) of this level, (p, q) float32: least and greatest heights of the windows at every stride
     spans : (width, stride, block) of this level [cells]
     node : (row, column) of the block's first cell
-    ends : four (k,) int64: first row, last row less the block, first column, last column less the block, relative
-        to the block's first cell, of what lies under each point
+    ends : four (k,) of whole numbers
+        First row, last row less the block, first column, last column less the block, relative to the block's first
+        cell, of what lies under each point.
     data : (heights (k,), weights (k,), offset weight, rows, cols)
     low, high : (k,) float64
         Room to work in.
@@ -172,7 +173,56 @@ def misfit_at(values, row, col, down, right, heights, weight, offset_weight, voi
 
 
 @jit
-def search(values, lows, highs, spans, headings, ends, places, data, region, limits, found, counts):
+def lie(points, mids, halves, frame, corners, ends, places):
+    """The cells that may lie under each point of a track, for intervals of its heading and scale.
+
+    A point p becomes (1 + ds) R(d) p0, p0 = f R(psi) p, with |d| <= a, |ds| <= b about the shape (psi, f). In a frame
+    L p + q(p), with J a quarter turn,
+
+        |L ((1 + ds) R(d) - 1) p0 - d L J p0 - ds L p0| <= (a^2 / 2 + a b) |L| |p0|,
+        |q((1 + ds) R(d) p0) - q(p0)| <= |q| (a + b + a b) (2 + b) |p0|^2,
+
+    and what the frames in the corners of a region differ from its middle's is added.
+
+    Parameters
+    ----------
+    points : (2, k) float64, north and east of the middle [m]
+    mids : (n, 2) float64, heading [rad] and factor of each shape
+    halves : (n, 2) float64, a and b
+    frame, corners : (2, 6) and (m, 2, 6) float64: coefficients as in `LocalFrame`, rows and columns
+    ends : (4, n, k) int32, written
+        First row, last row less the block, first column, last column less the block, from the block's first cell.
+    places : (2, <= n, k) float64, written
+        The points in rows and columns at the middle of the first shapes.
+    """
+    for axis in range(2):
+        own = frame[axis]
+        norm, bend = np.hypot(own[1], own[2]), abs(own[3]) + abs(own[4]) + abs(own[5])
+        tilt = 0.0
+        for corner in corners:
+            tilt = max(tilt, np.hypot(corner[axis, 1] - own[1], corner[axis, 2] - own[2]))
+        for h in range(mids.shape[0]):
+            cos, sin = mids[h, 1] * np.cos(mids[h, 0]), mids[h, 1] * np.sin(mids[h, 0])
+            a, b = halves[h, 0], halves[h, 1]
+            for k in range(points.shape[1]):
+                n, e = points[0, k] * cos - points[1, k] * sin, points[0, k] * sin + points[1, k] * cos
+                rho = np.hypot(n, e)
+                at = n * (own[1] + own[3] * n + own[4] * e) + e * (own[2] + own[5] * e)
+                bent = 0.0
+                for corner in corners:
+                    c = corner[axis]
+                    bent = max(bent, abs(n * (c[1] + c[3] * n + c[4] * e) + e * (c[2] + c[5] * e) - at))
+                slack = a * abs(own[2] * n - own[1] * e) + b * abs(own[1] * n + own[2] * e)
+                slack += (0.5 * a * a + a * b) * norm * rho + bend * (a + b + a * b) * (2.0 + b) * rho * rho
+                slack += 1.1 * (bent + (a + b + a * b) * tilt * rho) + 1e-4
+                ends[2 * axis, h, k] = np.int32(np.floor(at - 0.5 - slack))
+                ends[2 * axis + 1, h, k] = np.int32(np.ceil(at - 0.5 + slack))
+                if h < places.shape[1]:
+                    places[axis, h, k] = at
+
+
+@jit
+def search(values, lows, highs, spans, shapes, ends, places, data, region, limits, found, counts):
     """Depth first over the blocks of one region of the map; what is not excluded is kept with its middle's misfit.
 
     Parameters
@@ -180,13 +230,15 @@ def search(values, lows, highs, spans, headings, ends, places, data, region, lim
     values : (rows, cols) float32
     lows, highs : tuples of (p, q) float32, a level each, the finest first
     spans : (levels, 3) int64: width and stride of the windows, and the block, of each level [cells]
-    headings : (levels, 2) int64: at which row of `ends` each level's headings begin, and how many there are
-    ends : four (all headings, k) int64, as in `excluded`
-    places : two (finest headings, k) float64: the points relative to the middle of the track [cells]
+    shapes : (levels, 2) int64
+        At which row of `ends` each level's headings and scales begin, and how many there are; those of a level divide
+        the ones of the next coarser level, in their order.
+    ends : (4, all shapes, k) int32, as in `excluded`
+    places : (2, finest shapes, k) float64: the points relative to the middle of the track [cells]
     data : as in `excluded`, and void_cost
     region : first row, past row, first column, past column of the middle of the track
     limits : (3,) float64: limit, margin above the best, and the best misfit of a middle: read and written
-    found : (most, 4) float64: row, column, heading number, misfit of its middle
+    found : (most, 4) float64: row, column, number of the shape, misfit of its middle
     counts : (3,) int64: kept, blocks and points looked at: read and written
 
     Returns
@@ -197,22 +249,25 @@ def search(values, lows, highs, spans, headings, ends, places, data, region, lim
     heights, weight, offset_weight, rows, cols, void_cost = data
     low, high = np.empty(heights.size), np.empty(heights.size)
     top = len(lows) - 1
-    stack = np.empty((64 * (top + 2) * max(headings[0, 1], 4), 4), np.int64)
+    room = shapes[top, 1] + 4
+    for level in range(top):
+        room += 4 * (shapes[level, 1] // shapes[level + 1, 1])
+    stack = np.empty((room, 4), np.int64)
     block = spans[top, 2]
     for i0 in range(region[0], region[1], block):
         for j0 in range(region[2], region[3], block):
-            size = headings[top, 1]
+            size = shapes[top, 1]
             for h in range(size):
-                stack[h] = (top, h, i0, j0)
+                stack[h, 0], stack[h, 1], stack[h, 2], stack[h, 3] = top, h, i0, j0
             while size > 0:
                 size -= 1
                 level, h, i, j = stack[size]
-                at = headings[level, 0] + h
+                at = shapes[level, 0] + h
                 gone, looked = excluded(
                     (lows[level], highs[level]),
                     (spans[level, 0], spans[level, 1], spans[level, 2]),
                     (i, j),
-                    (ends[0][at], ends[1][at], ends[2][at], ends[3][at]),
+                    (ends[0, at], ends[1, at], ends[2, at], ends[3, at]),
                     (heights, weight, offset_weight, rows, cols),
                     limits[0],
                     low,
@@ -226,7 +281,7 @@ def search(values, lows, highs, spans, headings, ends, places, data, region, lim
                     if counts[0] == found.shape[0]:
                         return False
                     fit, _ = misfit_at(
-                        values, i, j, places[0][h], places[1][h], heights, weight, offset_weight, void_cost
+                        values, i, j, places[0, h], places[1, h], heights, weight, offset_weight, void_cost
                     )
                     counts[2] += heights.size
                     row = found[counts[0]]
@@ -237,11 +292,12 @@ def search(values, lows, highs, spans, headings, ends, places, data, region, lim
                         limits[0] = min(limits[0], fit + limits[1])
                     continue
                 half = spans[level - 1, 2]
-                ratio = headings[level - 1, 1] // headings[level, 1]
+                ratio = shapes[level - 1, 1] // shapes[level, 1]
                 for a in range(2):
                     for b in range(2):
                         if i + a * half < region[1] and j + b * half < region[3]:
                             for c in range(ratio):
-                                stack[size] = (level - 1, h * ratio + c, i + a * half, j + b * half)
+                                stack[size, 0], stack[size, 1] = level - 1, h * ratio + c
+                                stack[size, 2], stack[size, 3] = i + a * half, j + b * half
                                 size += 1
     return True

@@ -1,27 +1,28 @@
-"""Placements of a track on a map: the tables of a search without a prior, the search, and the fits below the cell."""
+"""Placements of a track on a map: the tables of a search without a prior, and the search."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terranav.kernels import locating, sampling
+from terranav.core.memory import need
+from terranav.kernels import locating
 from terranav.maps.crs import projection
 from terranav.maps.frame import LocalFrame
 from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Region = tuple[int, int, int, int]  # first row, past row, first column, past column
 
 TOP = 6  # levels above the single cell: blocks of 2, 4 ... 64 cells
-SWEEP = 0.25  # most that a heading interval moves a point either way, of its level's block
-MOST_SHAPES = 200  # regions whose shapes are kept for the next search: some 50 MB
-APART_CELLS = 2.5  # places nearer than this are one
-ROUNDS = 25  # of a fit
+SWEEP = 0.25  # most that an interval of headings or scales moves a point either way, of its level's block
+SHAPE_BYTES = 256 * 2**20  # of the shapes in all regions that are kept for the next search
+POINT_BYTES = 48  # of a point of a shape, both levels of it
 
 
 @dataclass
@@ -29,34 +30,48 @@ class Search:
     """What one search needs: the track about its middle, weights, tables, and the work done."""
 
     chart: Map
-    down: FloatArray  # north of the middle [m]
-    right: FloatArray  # east of it [m]
+    values: NDArray[np.float32]  # of the chart, read once
+    points: FloatArray  # (2, k) north and east of the middle [m]
     along: FloatArray  # from the first point [m]
     height: FloatArray
     weight: FloatArray
     offset_weight: float
     void_cost: float
     half: float  # of the heading range [rad]
+    stretch: float  # of the range of scales
     lows: tuple[NDArray[np.float32], ...]
     highs: tuple[NDArray[np.float32], ...]
     spans: IntArray
-    headings: IntArray
-    shapes: dict[tuple[int, int, int, int], Any] = field(default_factory=dict)  # of regions, for the next search
+    shapes: IntArray  # (levels, 2) where each level's begin, and how many
+    mids: FloatArray  # (shapes, 2) heading [rad] and factor
+    halves: FloatArray  # (shapes, 2) of the heading [rad], and of the factor against its own
+    kept: dict[Region, Any] = field(default_factory=dict)  # shapes of regions, for the next search
     counts: IntArray = field(default_factory=lambda: np.zeros(3, dtype=np.int64))
 
     @property
     def lookups_of_all(self) -> float:
-        """Lookups of every cell, finest heading and point [double, since it may be large]."""
-        return float(self.chart.values.size) * float(self.headings[0, 1]) * self.height.size
+        """Lookups of every cell, finest shape and point [double, since it may be large]."""
+        return float(self.values.size) * float(self.shapes[0, 1]) * self.height.size
 
-    def turned(self, psi: float) -> tuple[FloatArray, FloatArray]:
-        """Metres north and east of the middle after a turn clockwise [rad]."""
-        cos, sin = math.cos(psi), math.sin(psi)
-        return self.down * cos - self.right * sin, self.down * sin + self.right * cos
+    @property
+    def leaf(self) -> float:
+        """Volume of a finest heading and scale, what is known not counting [rad]."""
+        ranges = [2.0 * one for one in (self.half, self.stretch) if one > 0.0]
+        return math.prod(ranges) / float(self.shapes[0, 1])
+
+    @property
+    def reach_m(self) -> float:
+        """Of the farthest point from the middle [m]."""
+        return float(np.hypot(*self.points).max())
+
+    def turned(self, psi: float, factor: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Metres north and east of the middle after a turn clockwise [rad], and a stretch."""
+        cos, sin = factor * math.cos(psi), factor * math.sin(psi)
+        return self.points[0] * cos - self.points[1] * sin, self.points[0] * sin + self.points[1] * cos
 
     def frame(self, row: float, col: float) -> LocalFrame:
         """The map around a cell."""
-        radius = float(np.hypot(self.down, self.right).max())
+        radius = (1.0 + self.stretch) * self.reach_m
         return self.chart.local_frame(*lat_lon(self.chart, row, col), radius_m=max(radius, 100.0))
 
 
@@ -66,6 +81,35 @@ def lat_lon(chart: Map, row: float, col: float) -> tuple[float, float]:
     x, y = a * (col + 0.5) + b * (row + 0.5) + c, d * (col + 0.5) + e * (row + 0.5) + f
     lat, lon = projection(chart.crs).inverse(np.array([x]), np.array([y]))
     return float(lat[0]), (float(lon[0]) + 180.0) % 360.0 - 180.0
+
+
+def shapes_of(half: float, stretch: float, reach_cells: float) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Headings and factors of each level, the finest first: where they begin, their middles and half intervals.
+
+    Each shape of a level is divided into as many of the next finer one, which stand one after the other there.
+    """
+    counts = np.array([[_parts(one * reach_cells, level) for one in (half, stretch)] for level in range(TOP + 1)])
+    whole = np.array([half, stretch])
+    middles = [np.array([[0.0, 1.0]])]
+    before = np.array([1, 1])
+    for count in counts[::-1]:
+        ratio = count // before
+        steps = [(2.0 * np.arange(n) + 1.0 - n) * w / c for n, w, c in zip(ratio, whole, count)]
+        inner = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        middles.append((middles[-1][:, None] + inner).reshape(-1, 2))
+        before = count
+    finest_first = middles[:0:-1]
+    sizes = np.array([len(one) for one in finest_first])
+    mids = np.concatenate(finest_first)
+    halves = np.repeat(whole / counts, sizes, axis=0)
+    halves[:, 1] /= mids[:, 1]
+    return np.column_stack([np.cumsum(sizes) - sizes, sizes]), mids, halves
+
+
+def _parts(sweep_cells: float, level: int) -> int:
+    """Into how many intervals a range is divided that moves a point by so much either way."""
+    wanted = sweep_cells / (SWEEP * 2**level)
+    return int(2 ** math.ceil(math.log2(max(wanted, 1.0))))
 
 
 def tables_of(values: NDArray[np.float32]) -> tuple[Any, Any, IntArray]:
@@ -97,53 +141,34 @@ def _wider(table: NDArray[np.float32], step: int, thin: int, better: Any) -> NDA
     return wide
 
 
-def _regions(chart: Map) -> list[tuple[int, int, int, int]]:
+def regions_of(work: Search) -> list[Region]:
     """Parts of the map in which a track keeps its shape in cells."""
-    rows, cols = chart.shape
+    rows, cols = work.values.shape
     side = 2**TOP
-    width = cols if projection(chart.crs).plain else 4 * side
+    width = cols if projection(work.chart.crs).plain else 4 * side
     return [
         (i, min(i + side, rows), j, min(j + width, cols)) for i in range(0, rows, side) for j in range(0, cols, width)
     ]
 
 
-def shape_in(work: Search, region: tuple[int, int, int, int]) -> tuple[tuple[IntArray, ...], FloatArray]:
-    """Under each point at each level's headings, the cells it may lie on; and the points at the finest headings.
+def shape_in(work: Search, region: Region) -> tuple[NDArray[np.int32], FloatArray]:
+    """Under each point at each level's shapes, the cells it may lie on; and the points at the finest shapes.
 
-    Both hold for the middle of the track anywhere in a region of the map; the first as in `locating.search`.
+    Both hold for the middle of the track anywhere in a region of the map, as in `locating.search`.
     """
     i0, i1, j0, j1 = region
-    frame = work.frame(0.5 * (i0 + i1 - 1), 0.5 * (j0 + j1 - 1))
     plain = projection(work.chart.crs).plain  # there the shape in cells depends on the row alone
+    middle = work.frame(0.5 * (i0 + i1 - 1), 0.5 * (j0 + j1 - 1))
     corners = [work.frame(i, j) for i in (i0 - 0.5, i1 - 0.5) for j in ((j0,) if plain else (j0 - 0.5, j1 - 0.5))]
-    ends: list[list[FloatArray]] = [[], [], [], []]
-    places: list[list[FloatArray]] = [[], []]
-    rho = np.hypot(work.down, work.right) * _cells_per_m(frame)
-    for level in range(TOP + 1):
-        count = int(work.headings[level, 1])
-        half = work.half / count
-        for h in range(count):
-            moved = work.turned(-work.half + (2 * h + 1) * half)
-            ahead = work.turned(-work.half + (2 * h + 1) * half + 0.5 * math.pi)
-            at, turn = _relative(frame, *moved), _relative(frame, *ahead)
-            others = [_relative(corner, *moved) for corner in corners]
-            for axis in range(2):
-                bent = np.max([np.abs(other[axis] - at[axis]) for other in others], axis=0)
-                slack = half * np.abs(turn[axis]) + (0.5 * half * half + 0.02 * half) * rho + 1.1 * bent + 1e-4
-                ends[2 * axis].append(np.floor(at[axis] - 0.5 - slack))
-                ends[2 * axis + 1].append(np.ceil(at[axis] - 0.5 + slack))
-                if level == 0:
-                    places[axis].append(at[axis])
-    whole = tuple(np.array(one).astype(np.int64) for one in ends)
-    return whole, np.array(places)
+    count, size = len(work.mids), work.height.size
+    ends = np.empty((4, count, size), dtype=np.int32)
+    places = np.empty((2, int(work.shapes[0, 1]), size))
+    frames = [np.array([frame.row, frame.col]) for frame in (middle, *corners)]
+    locating.lie(work.points, work.mids, work.halves, frames[0], np.array(frames[1:]), ends, places)
+    return ends, places
 
 
-def _cells_per_m(frame: LocalFrame) -> float:
-    """Most cells in a metre, whichever way."""
-    return float(np.linalg.norm(np.array([frame.row[1:3], frame.col[1:3]]), 2))
-
-
-def _relative(frame: LocalFrame, north: FloatArray, east: FloatArray) -> tuple[FloatArray, FloatArray]:
+def relative(frame: LocalFrame, north: FloatArray, east: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows and columns from the frame's origin."""
     row, col = frame.cells(north, east)
     return row - frame.row[0], col - frame.col[0]
@@ -152,130 +177,31 @@ def _relative(frame: LocalFrame, north: FloatArray, east: FloatArray) -> tuple[F
 def searched(
     work: Search, weight: FloatArray, limit: float, margin: float, most: int
 ) -> tuple[FloatArray, float, bool]:
-    """Cells and headings whose bound is within a limit, which falls to the best middle's misfit and the margin.
+    """Cells and shapes whose bound is within a limit, which falls to the best middle's misfit and the margin.
 
     Returns
     -------
-    kept : (n, 4): row, column, heading [rad], misfit of the middle
+    kept : (n, 5): row, column, heading [rad], factor, misfit of the middle
     limit : float
         Below which nothing was left out, if the search is complete.
     complete : bool
     """
-    rows, cols = work.chart.shape
+    rows, cols = work.values.shape
     found, limits = np.empty((most, 4)), np.array([limit, margin, np.inf])
-    complete = True
+    regions, complete = regions_of(work), True
+    size = POINT_BYTES * len(work.mids) * work.height.size
+    need(size, f"locate: {work.shapes[0, 1]} headings and scales of {work.height.size} points")
     work.counts[0] = 0
-    for region in _regions(work.chart):
-        ends, places = work.shapes.get(region) or shape_in(work, region)
-        if len(work.shapes) < MOST_SHAPES:
-            work.shapes[region] = (ends, places)
+    for region in regions:
+        ends, places = work.kept.get(region) or shape_in(work, region)
+        if size * len(regions) <= SHAPE_BYTES:
+            work.kept[region] = (ends, places)
         complete = locating.search(
-            work.chart.values, work.lows, work.highs, work.spans, work.headings, ends, (places[0], places[1]),
+            work.values, work.lows, work.highs, work.spans, work.shapes, ends, places,
             (work.height, weight, work.offset_weight, rows, cols, work.void_cost), region, limits, found, work.counts,
         )  # fmt: skip
         if not complete:
             break
-    kept = found[: work.counts[0]]
-    half = work.half / work.headings[0, 1]
-    kept[:, 2] = -work.half + (2.0 * kept[:, 2] + 1.0) * half
+    some = found[: work.counts[0]]
+    kept = np.column_stack([some[:, :2], work.mids[some[:, 2].astype(np.int64)], some[:, 3]])
     return kept, float(limits[0]), complete
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A placement at its least misfit nearby."""
-
-    row: float
-    col: float
-    psi: float
-    offset: float
-    misfit: float
-    sigma: float  # of the position along its worse axis [cells]
-    volume: float  # [cells^2 rad], within which the likelihood is about its peak
-    points: tuple[FloatArray, FloatArray]  # rows and columns, in the search's order
-    residual: FloatArray  # NaN over voids
-
-
-def fitted(work: Search, weight: FloatArray, kept: FloatArray, margin: float, most: int) -> tuple[list[Fit], int]:
-    """The distinct places among what was kept, each at its least misfit, the best first; and how many were left."""
-    fits: list[Fit] = []
-    left = kept[np.argsort(kept[:, 3], kind="stable")]
-    cell = (2.0 * work.half / work.headings[0, 1]) or 1.0
-    for _ in range(most):
-        if not len(left):
-            break
-        start = left[0]
-        fit = _descended(work, weight, start)
-        near = (np.abs(left[:, :2] - start[:2]).max(axis=1) <= APART_CELLS) | (
-            np.abs(left[:, :2] - [fit.row, fit.col]).max(axis=1) <= APART_CELLS
-        )
-        near[0] = True
-        cap = float(near.sum()) * cell
-        if all(math.hypot(fit.row - one.row, fit.col - one.col) > APART_CELLS for one in fits):
-            fits.append(replace(fit, volume=min(fit.volume, cap)))
-        left = left[~near]
-    fits.sort(key=lambda one: one.misfit)
-    return [one for one in fits if one.misfit <= fits[0].misfit + margin], len(left)
-
-
-def _descended(work: Search, weight: FloatArray, start: FloatArray) -> Fit:
-    """Levenberg-Marquardt over row, column and heading, the offset eliminated."""
-    frame = work.frame(float(start[0]), float(start[1]))
-    at, damping = start[:3].astype(np.float64), 1e-3
-    best = _placed(work, weight, frame, start, at)
-    normal, right = _normal(work, weight, frame, best)
-    for _ in range(ROUNDS):
-        step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal) + 1e-12), right, rcond=None)[0]
-        step *= min(1.0, 1.0 / max(float(np.abs(step[:2]).max()), 1e-12))  # a cell at a time
-        to = np.array([*(at[:2] + step[:2]), min(max(at[2] + step[2], -work.half), work.half)])
-        tried = _placed(work, weight, frame, start, to)
-        if tried.misfit < best.misfit:
-            gained, at, best, damping = best.misfit - tried.misfit, to, tried, 0.3 * damping
-            normal, right = _normal(work, weight, frame, best)
-            if gained < 1e-3:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e4:
-                break
-    size = 2 if work.half == 0.0 else 3
-    known, ways = np.linalg.eigh(normal[:size, :size])
-    known = np.maximum(known, 1e-12)
-    sigma = math.sqrt(float(np.linalg.eigvalsh((ways[:2] / known) @ ways[:2].T)[-1]))
-    return replace(best, volume=float(np.prod(np.sqrt(2.0 * math.pi / known))), sigma=sigma)
-
-
-def _placed(work: Search, weight: FloatArray, frame: LocalFrame, start: FloatArray, at: FloatArray) -> Fit:
-    """The placement at a row, column and heading; infinite misfit where it leaves the map."""
-    down, right = _relative(frame, *work.turned(float(at[2])))
-    row, col = at[0] + down, at[1] + right
-    rows, cols = work.chart.shape
-    height = np.empty(row.size)
-    sampling.bilinear(work.chart.values, row, col, height)
-    d = work.height - height
-    known = np.isfinite(d)
-    total = float(weight[known].sum()) + work.offset_weight
-    offset = float((weight[known] * d[known]).sum()) / total if total > 0.0 else 0.0
-    misfit = float((weight[known] * (d[known] - offset) ** 2).sum()) + work.offset_weight * offset**2
-    misfit += work.void_cost * float((~known).sum())
-    if row.min() < -1e-6 or col.min() < -1e-6 or row.max() > rows - 1 + 1e-6 or col.max() > cols - 1 + 1e-6:
-        misfit = math.inf
-    return Fit(float(at[0]), float(at[1]), float(at[2]), offset, misfit, 0.0, 0.0, (row, col), d - offset)
-
-
-def _normal(work: Search, weight: FloatArray, frame: LocalFrame, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (3, 3) and right side (3,) of row, column and heading, the offset eliminated."""
-    row, col = fit.points
-    low, high, slopes = np.empty(row.size), np.empty(row.size), []
-    for by_row, by_col in ((0.5, 0.0), (0.0, 0.5)):
-        sampling.bilinear(work.chart.values, row - by_row, col - by_col, low)
-        sampling.bilinear(work.chart.values, row + by_row, col + by_col, high)
-        slopes.append(high - low)
-    turn = _relative(frame, *work.turned(fit.psi + 0.5 * math.pi))
-    jacobian = np.column_stack([*slopes, slopes[0] * turn[0] + slopes[1] * turn[1]])
-    known = np.isfinite(jacobian).all(axis=1) & np.isfinite(fit.residual)
-    j, w, r = jacobian[known], weight[known], fit.residual[known]
-    total = max(float(w.sum()) + work.offset_weight, 1e-30)
-    mean = (w @ j) / total
-    normal = (j * w[:, None]).T @ j - total * np.outer(mean, mean)
-    return normal, (j * w[:, None]).T @ r - mean * (w @ r)
