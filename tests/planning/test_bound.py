@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import quad
 
 import terranav as tn
@@ -23,6 +23,7 @@ from terranav.filters.marginalized import Marginalized
 from terranav.ins.drift import add_drift
 from terranav.maps.fields import gaussian_map, plane_map
 from terranav.maps.map import Map
+from terranav.planning import bound as bounds
 from terranav.planning.bound import Bound, bound, informed, mixture_information, patch_slope
 
 FloatArray = NDArray[np.float64]
@@ -139,6 +140,32 @@ def test_slope_is_that_of_sampling(crs: str, hills: Map) -> None:
     for axis, (north, east) in enumerate(((0.1, 0.0), (0.0, 0.1))):
         rise = chart.sample(*shift(lat, lon, north, east)) - chart.sample(*shift(lat, lon, -north, -east))
         assert found[:, axis] == pytest.approx(rise / 0.2, abs=2e-5)
+
+
+class Tiled(Map):
+    """A map of which only windows may be looked at."""
+
+    def around(self, lat_deg: ArrayLike, lon_deg: ArrayLike, radius_m: float) -> Map:
+        lat, lon = np.asarray(lat_deg), np.asarray(lon_deg)
+        low = [float(axis) for axis in shift(lat.min(), lon.min(), -radius_m, -radius_m)]
+        high = [float(axis) for axis in shift(lat.max(), lon.max(), radius_m, radius_m)]
+        fields = {name: getattr(self, name) for name in Map.__dataclass_fields__}
+        part = Map(**fields).crop(*low, *high)
+        assert part.values.size <= 6 * 400  # the 400 asked for, and cells on every side
+        return part
+
+
+def test_slopes_need_no_more_of_a_map_than_windows(hills: Map, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Positions all over a map, off it too: the same slopes, by windows of a few cells."""
+    monkeypatch.setattr(bounds, "WINDOW_CELLS", 400)
+    south, west, north, east = hills.bounds_deg
+    rng = np.random.default_rng(6)
+    lat, lon = rng.uniform(south - 0.01, north + 0.01, 300), rng.uniform(west - 0.01, east + 0.01, 300)
+    lat[:3], lon[:3] = (south, north, np.nan), (west, east, west)
+    tiled = Tiled(**{name: getattr(hills, name) for name in Map.__dataclass_fields__})
+    found, whole = patch_slope(tiled, lat, lon), patch_slope(hills, lat, lon)
+    assert (whole != 0.0).any(axis=1).sum() > 200
+    np.testing.assert_allclose(found, whole, rtol=1e-6, atol=1e-9)
 
 
 def test_off_the_map_and_in_voids_there_is_no_information(hills: Map) -> None:

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
@@ -50,6 +50,8 @@ from terranav.maps.map import Map, as_maps
 from terranav.sensors.ready import ready
 
 FloatArray = NDArray[np.float64]
+
+WINDOW_CELLS = 4_000_000  # of a map, whose values are looked at together
 
 _NO_BIAS: Mapping[str, float] = MappingProxyType({})  # every kind takes its own `Kind.bias_sigma`
 
@@ -251,7 +253,33 @@ def patch_slope(chart: Map, lat_deg: FloatArray, lon_deg: FloatArray) -> FloatAr
     (n, 2) [unit/m]
         North and east; zero off the map and beside a void, where the patch has none.
     """
-    row, col = (np.where(np.isfinite(axis), axis, -1.0) for axis in chart.cells(lat_deg, lon_deg))
+    slopes = np.zeros((np.size(lat_deg), 2))
+    inside = np.flatnonzero(chart.covers(lat_deg, lon_deg))
+    row, col = (axis[inside] for axis in chart.cells(lat_deg, lon_deg))
+    for part in _near(row, col, np.arange(inside.size)):
+        at = inside[part]
+        window = chart.around(lat_deg[at], lon_deg[at], 3.0 * chart.cell_m)
+        slopes[at] = _window_slope(window, lat_deg[at], lon_deg[at])
+    return slopes
+
+
+def _near(row: FloatArray, col: FloatArray, part: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    """The indices of a part in smaller parts, each within a rectangle of WINDOW_CELLS cells."""
+    if not part.size:
+        return
+    tall, wide = (float(np.ptp(axis[part])) for axis in (row, col))
+    if (tall + 1.0) * (wide + 1.0) <= WINDOW_CELLS:
+        yield part
+        return
+    axis = row[part] if tall > wide else col[part]
+    low = axis < 0.5 * (axis.min() + axis.max())
+    yield from _near(row, col, part[low])
+    yield from _near(row, col, part[~low])
+
+
+def _window_slope(chart: Map, lat_deg: FloatArray, lon_deg: FloatArray) -> FloatArray:
+    """`patch_slope` of positions that lie on a map with its values in memory."""
+    row, col = chart.cells(lat_deg, lon_deg)
     rows, cols = chart.shape
     i = np.clip(row, 0.0, rows - 2.0).astype(np.intp)
     j = np.clip(col, 0.0, cols - 2.0).astype(np.intp)
@@ -265,8 +293,8 @@ def patch_slope(chart: Map, lat_deg: FloatArray, lon_deg: FloatArray) -> FloatAr
         ahead, behind = (chart.cells(*shift(lat_deg, lon_deg, sign * north, sign * east)) for sign in (1.0, -1.0))
         row_per_m, col_per_m = ((after - before) / (2.0 * step) for after, before in zip(ahead, behind, strict=True))
         slopes[:, axis] = by_row * row_per_m + by_col * col_per_m
-    inside = chart.covers(lat_deg, lon_deg) & np.isfinite(slopes).all(axis=1)
-    return np.where(inside[:, None], slopes, 0.0)
+    slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
+    return slopes
 
 
 def _true_track(rec: Recording) -> tuple[FloatArray, FloatArray]:
