@@ -11,7 +11,7 @@ import rasterio
 
 import terranav as tn
 from terranav.core.errors import ConfigError, DataError
-from terranav.io.raster_out import write_map
+from terranav.io.raster_out import Layer, write_layers, write_map
 from terranav.maps.map import Map
 
 RNG = np.random.default_rng(5)
@@ -67,6 +67,45 @@ def test_a_geotiff_is_tiled_deflated_and_says_its_unit(tmp_path: Path) -> None:
         assert raster.profile["tiled"]
         assert np.isnan(raster.nodata)
         assert raster.units == ("nT",)
+
+
+@pytest.mark.parametrize("name", ["geographic", "projected", "polar"])
+def test_layers_are_read_back_at_their_places(tmp_path: Path, name: str) -> None:
+    chart = CHARTS[name]
+    layers = [Layer("height", chart.values, "m"), Layer("of the row", np.indices(chart.shape)[0])]
+    write_layers(tmp_path / "two.tif", layers, chart.transform, chart.crs)
+    with rasterio.open(tmp_path / "two.tif") as raster:
+        assert raster.descriptions == ("height", "of the row")
+        assert raster.units == ("m", None)
+        assert raster.dtypes == ("float32", "float32")
+        assert raster.crs == rasterio.crs.CRS.from_user_input(chart.crs)
+        assert (raster.profile["tiled"], raster.profile["compress"]) == (True, "deflate")
+        assert np.isnan(raster.nodata)
+        a, _, c, _, e, f = chart.transform
+        at = c + 20.5 * a, f + 7.5 * e  # the middle of row 7, column 20
+        np.testing.assert_array_equal(next(iter(raster.sample([at]))), [chart.values[7, 20], 7.0])
+        np.testing.assert_array_equal(raster.read(1), chart.values)
+    for band in (1, 2):
+        again = tn.open_map(tmp_path / "two.tif", kind=chart.kind, variable=str(band), unit=chart.unit)
+        lat, lon = probes(chart)
+        for here, there in zip(chart.cells(lat, lon), again.cells(lat, lon), strict=True):
+            np.testing.assert_allclose(there, here, atol=1e-5)
+
+
+def test_layers_that_cannot_be_one_file(tmp_path: Path) -> None:
+    grid, place = Layer("a", VALUES), CHARTS["geographic"].transform
+    for layers in ([], [grid, Layer("b", VALUES[1:])], [Layer("c", VALUES[0])]):
+        with pytest.raises(ConfigError, match=r"x\.tif: layers of shapes .* one shape"):
+            write_layers(tmp_path / "x.tif", layers, place, "EPSG:4326")
+    with pytest.raises(ConfigError, match=r"suffix is '\.nc', expected \.tif"):
+        write_layers(tmp_path / "x.nc", [grid], place, "EPSG:4326")
+    with pytest.raises(DataError, match=r"x\.tif: cannot be written"):
+        write_layers(tmp_path / "x.tif", [grid], place, "EPSG:999999")
+    assert not list(tmp_path.iterdir())
+    write_layers(tmp_path / "x.tif", [grid], place, "EPSG:4326")
+    with pytest.raises(ConfigError, match="is there already"):
+        write_layers(tmp_path / "x.tif", [grid], place, "EPSG:4326")
+    write_layers(tmp_path / "x.tif", [grid], place, "EPSG:4326", force=True)
 
 
 def test_rows_aslant_need_a_geotiff(tmp_path: Path) -> None:

@@ -1,18 +1,23 @@
-"""Maps to files: GeoTIFF, NetCDF and, where nothing would be lost, SRTM's .hgt."""
+"""Maps to files: GeoTIFF, NetCDF and, where nothing would be lost, SRTM's .hgt; several grids to one GeoTIFF."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terranav.core.errors import ConfigError, DataError
 from terranav.io.files import replacing
 
 if TYPE_CHECKING:
+    from rasterio.io import DatasetWriter
+
     from terranav.maps.map import Map
 
 TILE = 256  # cells along the side of a GeoTIFF's blocks
@@ -71,8 +76,77 @@ def check_target(path: str | Path, *, force: bool = False) -> Callable[[Map, Pat
     return _WRITERS[suffix]
 
 
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One band of a GeoTIFF.
+
+    Attributes
+    ----------
+    name : str
+        What it is: the band's description.
+    values : (rows, cols)
+        NaN where nothing is known.
+    unit : str
+        Empty for a plain number.
+    """
+
+    name: str
+    values: NDArray[Any]
+    unit: str = ""
+
+
+def write_layers(
+    path: str | Path, layers: Sequence[Layer], transform: Sequence[float], crs: str, *, force: bool = False
+) -> None:
+    """Write grids of one shape and place to a GeoTIFF, a named float32 band each: tiled, deflate, nodata NaN.
+
+    Parameters
+    ----------
+    path : str or Path
+        .tif or .tiff
+    layers : sequence of Layer
+        At least one.
+    transform : 6 floats
+        As `Map.transform`.
+    crs : str
+        Anything that rasterio takes.
+    force : bool
+        Replace a file that is there.
+
+    Raises
+    ------
+    ConfigError
+        Another suffix, a file that is there without force, or layers that are no grids of one shape.
+    DataError
+        The file cannot be written.
+    """
+    file = Path(path)
+    shapes = sorted({np.shape(layer.values) for layer in layers})
+    if file.suffix.lower() not in (".tif", ".tiff"):
+        raise ConfigError(f"{file}: the suffix is {file.suffix!r}, expected .tif")
+    if len(shapes) != 1 or len(shapes[0]) != 2:
+        raise ConfigError(f"{file}: layers of shapes {shapes}, expected one or more grids of one shape")
+    check_target(file, force=force)
+    with replacing(file) as aside, _raster(aside, file, (len(layers), *shapes[0]), (transform, crs)) as raster:
+        for band, layer in enumerate(layers, 1):
+            raster.write(np.asarray(layer.values, dtype=np.float32), band)
+            raster.set_band_description(band, layer.name)
+        raster.units = tuple(layer.unit for layer in layers)
+
+
 def _tif(chart: Map, aside: Path, file: Path) -> None:
     """A GeoTIFF."""
+    with _raster(aside, file, (1, *chart.shape), (chart.transform, _with_vertical(chart))) as raster:
+        raster.write(chart.values, 1)
+        raster.units = (chart.unit,)
+        raster.update_tags(KIND=chart.kind, SOURCE=chart.source, VERTICAL_DATUM=chart.datum or "not stated")
+
+
+@contextmanager
+def _raster(
+    aside: Path, file: Path, shape: tuple[int, int, int], place: tuple[Sequence[float], str]
+) -> Iterator[DatasetWriter]:
+    """A GeoTIFF to be filled, of so many bands, rows and columns, with a transform and a CRS."""
     import rasterio
     from rasterio.errors import RasterioError
     from rasterio.transform import Affine
@@ -80,11 +154,11 @@ def _tif(chart: Map, aside: Path, file: Path) -> None:
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "dtype": "float32",
-        "count": 1,
-        "height": chart.shape[0],
-        "width": chart.shape[1],
-        "crs": _with_vertical(chart),
-        "transform": Affine(*chart.transform),
+        "count": shape[0],
+        "height": shape[1],
+        "width": shape[2],
+        "crs": place[1],
+        "transform": Affine(*place[0]),
         "nodata": float("nan"),
         "compress": "deflate",
         "predictor": 3,
@@ -95,10 +169,8 @@ def _tif(chart: Map, aside: Path, file: Path) -> None:
     }
     try:
         with rasterio.open(aside, "w", **profile) as raster:
-            raster.write(chart.values, 1)
-            raster.units = (chart.unit,)
-            raster.update_tags(KIND=chart.kind, SOURCE=chart.source, VERTICAL_DATUM=chart.datum or "not stated")
-    except RasterioError as problem:
+            yield raster
+    except (RasterioError, ValueError) as problem:
         raise DataError(f"{file}: cannot be written ({' '.join(str(problem).split())[:200]})") from None
 
 
