@@ -45,6 +45,9 @@ def geographic_frame(lat_deg: float, lon_deg: float, inverse: tuple[float, ...])
     dlat = n/M - n^2 M'/(2 M^3) and dlon = e/P - n e P'/(2 M P^2), where (N cos lat)' = -M_r sin lat and
     M_r' = 3 e^2 M_r sin lat cos lat / (1 - e^2 sin^2 lat), M_r being the meridian radius of curvature.
 
+    What is left out grows as the cube of the distance and towards the poles: within 5 km 1 cm at 80 degrees of latitude
+    and 6 cm at 86, within 20 km 0.6 m and 3.8 m. In cells that may be more than one, where cells are 2 m wide.
+
     Parameters
     ----------
     lat_deg, lon_deg : float [deg]

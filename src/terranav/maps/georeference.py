@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from terranav.core.earth import wrap_longitude
+from terranav.core.earth import ECCENTRICITY_SQ, SEMI_MAJOR_M, wrap_longitude
 from terranav.core.errors import DataError
 from terranav.maps.crs import Projection, projection
 from terranav.maps.frame import LocalFrame, fitted_frame, geographic_frame
@@ -16,6 +17,9 @@ from terranav.maps.frame import LocalFrame, fitted_frame, geographic_frame
 FloatArray = NDArray[np.float64]
 Transform = tuple[float, float, float, float, float, float]
 Window = tuple[tuple[int, int], tuple[int, int]]
+Box = tuple[float, float, float, float]
+
+SLACK = 1e-6  # cells that a place may lie outside and still count as on the edge, as in kernels.sampling
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,17 @@ class Georeference:
         y, x = np.asarray(row, dtype=np.float64) + 0.5, np.asarray(col, dtype=np.float64) + 0.5
         return a * x + b * y + c, d * x + e * y + f
 
+    def _places(self, down: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude [deg] at shares of the way from the first row and column to the last.
+
+        Longitudes go on beyond 180 in a geographic CRS.
+        """
+        x, y = self._xy(down * (self.shape[0] - 1), across * (self.shape[1] - 1))
+        lat, lon = self.projection.inverse(x, y)
+        if self.projection.geographic and not self.projection.plain:
+            lon = x + wrap_longitude(lon - x)
+        return lat, lon
+
     def cells(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """As `Map.cells`."""
         lat, lon = np.broadcast_arrays(np.asarray(lat_deg, dtype=np.float64), np.asarray(lon_deg, dtype=np.float64))
@@ -98,28 +113,67 @@ class Georeference:
 
     @cached_property
     def cell_m(self) -> float:
-        """Geometric mean of a cell's two sides in the middle of the map [m]."""
-        frame = self.local_frame(*self.centre_deg, radius_m=100.0)
-        return float(abs(frame.row[1] * frame.col[2] - frame.row[2] * frame.col[1]) ** -0.5)
+        """Geometric mean of a cell's two sides in the middle of the map [m]; measured in space, poles are no matter."""
+        rows, cols = 0.5 * (np.array(self.shape) - 1.0)
+        x, y = self._xy(rows + np.array([-0.5, 0.5, 0.0, 0.0]), cols + np.array([0.0, 0.0, -0.5, 0.5]))
+        above, below, left, right = _in_space(*self.projection.inverse(x, y))
+        return float(np.linalg.norm(np.cross(below - above, right - left)) ** 0.5)
 
     @cached_property
-    def bounds_deg(self) -> tuple[float, float, float, float]:
+    def bounds_deg(self) -> Box:
         """South, west, north, east of the hull of the cell centres [deg].
 
-        West is in [-180, 180); east is greater than west, beyond 180 on a map that crosses the antimeridian.
+        West is in [-180, 180); east is greater than west, beyond 180 on a map that crosses the antimeridian. With a
+        pole inside they are -180 and 180.
+
+        Raises
+        ------
+        DataError
+            The middle of the map is not on the Earth.
         """
-        rows, cols = self.shape
-        t = np.linspace(0.0, 1.0, 41)
-        row = np.concatenate([0.0 * t, t, 0.0 * t + 1.0, t]) * (rows - 1)
-        col = np.concatenate([t, 0.0 * t + 1.0, t, 0.0 * t]) * (cols - 1)
-        lat, lon = self.projection.inverse(*self._xy(row, col))
-        middle = self.centre_xy[0] if self.projection.plain else self.centre_deg[1]
-        away = lon - middle if self.projection.plain else wrap_longitude(lon - middle)
-        west = float(wrap_longitude(middle + away.min()))
-        return float(lat.min()), west, float(lat.max()), west + float(away.max() - away.min())
+        half = np.array([0.5])
+        middle = float(self._places(half, half)[1][0])
+        if not np.isfinite(middle):
+            raise DataError(
+                f"the middle of the map is not on the Earth in {self.crs}, expected another transform or crs"
+            )
+
+        def place(down: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
+            lat, lon = self._places(down, across)
+            with np.errstate(invalid="ignore"):  # places off the Earth
+                return lat, lon - middle if self.projection.geographic else wrap_longitude(lon - middle)
+
+        south, north, left, right = _extremes(place)
+        inside = False
+        for pole in (-90.0, 90.0):
+            share = self._pole(pole)
+            if share is None:
+                continue
+            nearest = np.clip(share, 0.0, 1.0)
+            lat, _ = place(nearest[:1], nearest[1:])
+            if np.isfinite(lat[0]):
+                south, north = min(south, float(lat[0])), max(north, float(lat[0]))
+            inside = inside or bool(((share > SLACK) & (share < 1.0 - SLACK)).all())
+        if inside:
+            return south, -180.0, north, 180.0
+        west = float(wrap_longitude(middle + left))
+        return south, west, north, west + right - left
+
+    def _pole(self, lat_deg: float) -> FloatArray | None:
+        """Shares of the way from the first row and column to the last, (2,), at which a pole lies.
+
+        None where the map has no such point, or draws it as a line.
+        """
+        if self.projection.geographic:
+            return None
+        found = np.stack(self.cells(lat_deg, np.array([0.0, 90.0, 180.0, -90.0])))
+        if not np.isfinite(found).all() or np.ptp(found, axis=1).max() > 1e-3:
+            return None
+        out: FloatArray = found[:, 0] / (np.array(self.shape) - 1.0)
+        return out
 
     def window(self, south_deg: float, west_deg: float, north_deg: float, east_deg: float) -> Window:
-        """Rows and columns of the cells whose centres enclose a box.
+        """Rows and columns of the cells whose centres enclose what a box and the map have in common.
 
         Parameters
         ----------
@@ -139,15 +193,40 @@ class Georeference:
         width = (east_deg - west_deg) % 360.0 or 360.0 * (east_deg != west_deg)
         if not (north_deg > south_deg and width > 0.0):
             raise DataError(f"box {box} has no area, expected south < north and west < east")
-        t = np.linspace(0.0, 1.0, 21)
-        lat, lon = np.meshgrid(south_deg + t * (north_deg - south_deg), west_deg + t * width)
-        row, col = self.cells(lat, lon)
-        known = np.isfinite(row) & np.isfinite(col)
-        rows, cols = (_span(position[known], size) for position, size in zip((row, col), self.shape, strict=True))
-        if rows[1] - rows[0] < 2 or cols[1] - cols[0] < 2:
+        parts = self._common(south_deg, west_deg, north_deg, west_deg + width)
+        spans = np.array([span for part in parts if np.isfinite(span := self._span(part)).all()])
+        if spans.size:  # a box may meet a map of the whole Earth at both its sides
+            first, last = spans[:, ::2].min(axis=0), spans[:, 1::2].max(axis=0)
+            first = np.maximum(np.floor(first + SLACK), 0).astype(int)
+            last = np.minimum(np.ceil(last - SLACK) + 1, self.shape).astype(int)
+        if not spans.size or (last - first < 2).any():
             south, west, north, east = self.bounds_deg
             raise DataError(f"box {box} misses the map, which spans ({south:.4f}, {west:.4f}, {north:.4f}, {east:.4f})")
-        return rows, cols
+        return (int(first[0]), int(last[0])), (int(first[1]), int(last[1]))
+
+    def _common(self, south: float, west: float, north: float, east: float) -> list[Box]:
+        """The parts of a box that lie within the bounds of the map, so that none is mistaken for its far side.
+
+        A map whose sides are off the Earth has no sharp bounds: the box as it is.
+        """
+        t = np.linspace(0.0, 1.0, 41)
+        down, across = np.concatenate([t, t, 0.0 * t, 0.0 * t + 1.0]), np.concatenate([0.0 * t, 0.0 * t + 1.0, t, t])
+        if not np.isfinite(self._places(down, across)).all():
+            return [(south, west, north, east)]
+        low, left, high, right = self.bounds_deg
+        more = 0.0 if self.projection.geographic else 0.01  # the bounds of others are good to a fraction of a cell
+        tall, wide = more * (high - low), more * (right - left)
+        parts = []
+        for turn in (-720.0, -360.0, 0.0, 360.0, 720.0):
+            if west + turn <= right and east + turn >= left and south <= high and north >= low:
+                sides = max(west + turn, left - wide), min(east + turn, right + wide)
+                parts.append((max(south, low - tall), sides[0], min(north, high + tall), sides[1]))
+        return parts
+
+    def _span(self, box: Box) -> tuple[float, float, float, float]:
+        """Least and largest row and column of a box."""
+        south, west, north, east = box
+        return _extremes(lambda up, along: self.cells(south + up * (north - south), west + along * (east - west)))
 
     def cropped(self, window: Window) -> Georeference:
         """The grid of a window of the cells."""
@@ -161,8 +240,52 @@ def _determinant(transform: tuple[float, ...]) -> float:
     return transform[0] * transform[4] - transform[1] * transform[3]
 
 
-def _span(position: FloatArray, size: int) -> tuple[int, int]:
-    """First and past-the-last index of the cells that enclose positions, within the map."""
-    if not position.size:
-        return 0, 0
-    return max(int(np.floor(position.min() + 1e-6)), 0), min(int(np.ceil(position.max() - 1e-6)) + 1, size)
+def _in_space(lat_deg: FloatArray, lon_deg: FloatArray) -> FloatArray:
+    """Earth-centred coordinates of places on the ellipsoid [m], (n, 3)."""
+    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+    normal = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_SQ * np.sin(lat) ** 2)
+    flat = normal * np.cos(lat)
+    return np.stack([flat * np.cos(lon), flat * np.sin(lon), normal * (1.0 - ECCENTRICITY_SQ) * np.sin(lat)], axis=1)
+
+
+def _extremes(
+    image: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+) -> tuple[float, float, float, float]:
+    """Least and largest of both coordinates of the image of the unit square, NaN where it has none.
+
+    They lie on its sides, which are searched ever more finely; a coarse grid within serves images that are partly
+    infinite.
+    """
+
+    def both(t: FloatArray) -> FloatArray:
+        """The image of the way around, t in 0..4."""
+        up = np.clip(np.where(t < 2.0, t - 1.0, 4.0 - t), 0.0, 1.0)
+        along = np.clip(np.where(t < 2.0, t, 3.0 - t), 0.0, 1.0)
+        found = np.stack(image(up, along))
+        return np.where(np.isfinite(found), found, np.nan)
+
+    around = np.linspace(0.0, 4.0, 361)
+    rim = both(around)
+    grid = np.linspace(0.0, 1.0, 21)
+    within = np.stack([part.ravel() for part in image(*np.meshgrid(grid, grid))])
+    every = np.concatenate([rim, np.where(np.isfinite(within), within, np.nan)], axis=1)
+    ends = []
+    for axis in (0, 1):
+        for sign in (1.0, -1.0):
+            if np.isnan(every[axis]).all():
+                ends.append(np.nan)
+                continue
+            best = float(np.nanmin(sign * every[axis]))
+            at, step = _least(around, sign * rim[axis]), 4.0 / 360.0
+            for _ in range(2):
+                near = np.clip(at + step * np.linspace(-1.0, 1.0, 41), 0.0, 4.0)
+                finer = sign * both(near)[axis]
+                at, step = _least(near, finer), 0.05 * step
+                best = float(np.fmin(best, np.fmin.reduce(finer)))
+            ends.append(sign * best)
+    return ends[0], ends[1], ends[2], ends[3]
+
+
+def _least(place: FloatArray, value: FloatArray) -> float:
+    """Where the value is least; the first place where none is known."""
+    return float(place[0 if np.isnan(value).all() else int(np.nanargmin(value))])
