@@ -72,11 +72,11 @@ def test_a_geotiff_is_tiled_deflated_and_says_its_unit(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["geographic", "projected", "polar"])
 def test_layers_are_read_back_at_their_places(tmp_path: Path, name: str) -> None:
     chart = CHARTS[name]
-    layers = [Layer("height", chart.values, "m"), Layer("of the row", np.indices(chart.shape)[0])]
+    layers = [Layer("height", chart.values, chart.unit), Layer("of the row", np.indices(chart.shape)[0])]
     write_layers(tmp_path / "two.tif", layers, chart.transform, chart.crs)
     with rasterio.open(tmp_path / "two.tif") as raster:
         assert raster.descriptions == ("height", "of the row")
-        assert raster.units == ("m", None)
+        assert raster.units == (chart.unit, None)
         assert raster.dtypes == ("float32", "float32")
         assert raster.crs == rasterio.crs.CRS.from_user_input(chart.crs)
         assert (raster.profile["tiled"], raster.profile["compress"]) == (True, "deflate")
@@ -85,11 +85,10 @@ def test_layers_are_read_back_at_their_places(tmp_path: Path, name: str) -> None
         at = c + 20.5 * a, f + 7.5 * e  # the middle of row 7, column 20
         np.testing.assert_array_equal(next(iter(raster.sample([at]))), [chart.values[7, 20], 7.0])
         np.testing.assert_array_equal(raster.read(1), chart.values)
-    for band in (1, 2):
-        again = tn.open_map(tmp_path / "two.tif", kind=chart.kind, variable=str(band), unit=chart.unit)
-        lat, lon = probes(chart)
-        for here, there in zip(chart.cells(lat, lon), again.cells(lat, lon), strict=True):
-            np.testing.assert_allclose(there, here, atol=1e-5)
+    again = tn.open_map(tmp_path / "two.tif", kind=chart.kind, variable="1")
+    lat, lon = probes(chart)
+    for here, there in zip(chart.cells(lat, lon), again.cells(lat, lon), strict=True):
+        np.testing.assert_allclose(there, here, atol=1e-5)
 
 
 def test_layers_that_cannot_be_one_file(tmp_path: Path) -> None:
