@@ -8,8 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
 from terranav.app.cli import main
+from terranav.core.earth import shift
+from terranav.ins.grades import grade_named
+from terranav.io.rasters import open_map
+from terranav.planning.suitability import LegSettings, suitability
 from tests.app.conftest import Flight
 
 
@@ -33,13 +38,57 @@ def test_json_and_files(flight: Flight, tmp_path: Path, capsys: pytest.CaptureFi
     assert 0.0 <= within["worst"] <= within["median"] <= within["best"] <= 1.0
     assert told["sigma_m"]["best"]["median"] <= told["sigma_m"]["worst"]["median"]
     assert Path(told["files"]["picture"]).read_bytes().startswith(b"\x89PNG")
-    with np.load(told["files"]["grids"]) as grids:
-        shape = (told["rows"], told["cols"])
-        assert grids["sigma_m"].shape == grids["drms_m"].shape == (4, *shape)
-        assert grids["roughness"].shape == grids["self_similarity"].shape == shape
-        assert (np.diff(grids["lat_deg"]) < 0).all()
-        assert (np.diff(grids["lon_deg"]) > 0).all()
-        np.testing.assert_array_equal(grids["headings_deg"], [0.0, 90.0, 180.0, 270.0])
+    shape = (told["rows"], told["cols"])
+    with rasterio.open(told["files"]["grids"]) as layers, rasterio.open(told["files"]["by_heading"]) as legs:
+        assert layers.shape == legs.shape == shape
+        assert layers.crs == legs.crs == rasterio.crs.CRS.from_epsg(4326)
+        assert legs.descriptions == tuple(f"1-sigma on heading {heading} deg" for heading in (0, 90, 180, 270))
+        assert layers.units[:4] == ("m", "m", "m", "deg")
+        best, median, worst, heading = layers.read([1, 2, 3, 4])
+        by_heading = legs.read()
+        known = np.isfinite(best)
+        assert known.mean() == pytest.approx(told["covered"])
+        np.testing.assert_array_equal(best[known], np.fmin.reduce(by_heading[:, known]))
+        np.testing.assert_array_equal(worst[known], np.fmax.reduce(by_heading[:, known]))
+        assert set(heading[known]) <= {0.0, 90.0, 180.0, 270.0}
+        assert (median[known] <= worst[known]).all()
+    assert not list(tmp_path.rglob("*.npz"))
+
+
+def test_layers_lie_where_the_map_does(flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What GDAL has at a place is what the planner has there: the bound at 20 places, and the slope of the map."""
+    told = answered(capsys, asked(flight, tmp_path, "--map-correlation", "300"))
+    assert told["map_correlation_m"] == 300.0
+    chart = open_map(flight.map, kind="terrain", crs="EPSG:4326", correlation_m=300.0)
+    found = suitability(chart, grade_named("tactical"), LegSettings(distance_m=3000.0, headings=4))
+    south, west, north, east = chart.bounds_deg
+    rng = np.random.default_rng(1)
+    lat, lon = rng.uniform(south, north, 20), rng.uniform(west, east, 20)
+    with rasterio.open(told["files"]["by_heading"]) as legs, rasterio.open(told["files"]["grids"]) as layers:
+        sigmas = np.array(list(legs.sample(zip(lon, lat, strict=True))))
+        slopes = np.array([band[4] for band in layers.sample(zip(lon, lat, strict=True))])
+    for place, sigma in zip(zip(lat, lon, strict=True), sigmas, strict=True):
+        np.testing.assert_array_equal(sigma, [np.float32(found.at(*place, heading)) for heading in (0, 90, 180, 270)])
+    assert np.isfinite(sigmas).sum() > 10
+    half = 3.0 * found.block_m  # the patch that the slope is of
+    for i in np.flatnonzero(np.isfinite(slopes)):
+        away = np.linspace(-half, half, 41)
+        around = shift(lat[i], lon[i], *(axis.ravel() for axis in np.meshgrid(away, away)))
+        rise = np.array(chart.gradient(*around))
+        if np.isfinite(rise).all():
+            assert np.sqrt((rise**2).sum(axis=0).mean()) == pytest.approx(slopes[i], rel=0.2)
+
+
+def test_depths_and_readings_a_cell(flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A map turned over is as good as it was; following fewer readings of a fast sensor tells less."""
+    fast = ("--rate", "20", "--kind", "bathymetry", "--positive-down")
+    many = answered(capsys, asked(flight, tmp_path / "many", *fast))
+    few = answered(capsys, asked(flight, tmp_path / "few", *fast, "--readings-a-cell", "1"))
+    assert many["map"]["kind"] == "bathymetry"
+    assert (many["settings"]["readings_a_cell"], few["settings"]["readings_a_cell"]) == (4, 1)
+    assert many["sigma_m"]["best"]["median"] != few["sigma_m"]["best"]["median"]
+    up = answered(capsys, asked(flight, tmp_path / "up", "--rate", "20"))
+    assert many["spread"]["median"] == pytest.approx(up["spread"]["median"], rel=1e-5)
 
 
 def test_a_longer_leg_than_the_map(flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,6 +121,8 @@ def test_lines_for_people(flight: Flight, tmp_path: Path, capsys: pytest.Capture
         (("--anchor", "middle"), "anchor"),
         (("--ins", "tactile"), "tactile"),
         (("--kind", "terrian"), "terrian"),
+        (("--map-correlation", "0"), "correlation_m"),
+        (("--readings-a-cell", "0"), "readings_a_cell"),
         (("--distance", "1e9"), "distance_m"),
         (("--nonsense",), "nonsense"),
     ],

@@ -145,10 +145,27 @@ def test_best_worst_and_median(found: Suitability) -> None:
     assert share["median"] == pytest.approx(0.5, abs=0.01)
 
 
+def test_at_is_the_block_and_the_heading_nearest(found: Suitability) -> None:
+    lat, lon = float(found.lat_deg[20]), float(found.lon_deg[30])
+    down, right = 0.4 * (lat - found.lat_deg[21]), 0.4 * (found.lon_deg[31] - lon)
+    for k, heading in enumerate(found.headings_deg.tolist()):
+        for turn in (-22.0, 0.0, 22.0, 360.0 - 22.0):
+            assert found.at(lat - down, lon + right, heading + turn) == found.sigma_m[k, 20, 30]
+            assert found.at(lat + down, lon - right - 360.0, heading + turn) == found.sigma_m[k, 20, 30]
+    assert math.isnan(found.at(float(found.lat_deg[0]) + 2.0 * down, lon, 0.0))
+    assert math.isnan(found.at(lat, float(found.lon_deg[0]) - 2.0 * right, 0.0))
+    a, _, west, _, e, north = found.transform
+    assert west + 30.5 * a == pytest.approx(lon, abs=1e-9)
+    assert north + 20.5 * e == pytest.approx(lat, abs=1e-9)
+
+
 def test_statistics_of_known_ground(found: Suitability) -> None:
     """std 80 m and covariance exp(-(r/900)^2) mean an rms slope of 2 std / L = 0.178."""
     assert np.sqrt(np.nanmean(found.roughness.astype(np.float64) ** 2)) == pytest.approx(0.178, rel=0.1)
     assert np.nanmedian(found.correlation_m) == pytest.approx(900.0, rel=0.25)
+    length = 2.0 * found.spread / found.roughness
+    np.testing.assert_allclose(found.correlation_m, length, rtol=1e-5)
+    assert 0.6 * 80.0 < np.sqrt(np.nanmean(found.spread.astype(np.float64) ** 2)) < 80.0  # patches of 2 km are smaller
     assert 2.0 < np.nanmedian(found.entropy_bits) < 7.0
     assert np.nanmax(found.self_similarity) <= 1.0 + 1e-6
 

@@ -15,6 +15,7 @@ from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
+Ground = tuple[Float32Array, Float32Array, Float32Array, Float32Array, Float32Array]
 
 MOST_BLOCKS = 4_000_000
 PATCH_BLOCKS = 3  # half the side of the patch that statistics are taken over
@@ -74,7 +75,7 @@ class BlockGrid:
         return np.asarray(self.west_deg + col * self.step_deg[1], dtype=np.float64)
 
 
-def statistics(chart: Map, grid: BlockGrid, sensor_sigma: float, position_sigma_m: float) -> list[Float32Array]:
+def statistics(chart: Map, grid: BlockGrid, sensor_sigma: float, position_sigma_m: float) -> Ground:
     """What the ground is like around each block; NaN with a void among its cells.
 
     Parameters
@@ -88,8 +89,9 @@ def statistics(chart: Map, grid: BlockGrid, sensor_sigma: float, position_sigma_
 
     Returns
     -------
-    list of (rows, cols) float32
-        Roughness, correlation length, entropy, self-similarity: as in `terranav.planning.suitability.Suitability`.
+    five (rows, cols) float32
+        Roughness, spread, correlation length, entropy, self-similarity, as in
+        `terranav.planning.suitability.Suitability`.
     """
     block, (rows, cols) = grid.block, grid.shape
     fine = [(np.arange(size * block) + 0.5) / block - 0.5 for size in grid.shape]
@@ -102,15 +104,20 @@ def statistics(chart: Map, grid: BlockGrid, sensor_sigma: float, position_sigma_
     slope2, mean = _around(down**2 + right**2, block, half), _around(values, block, half)
     base = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
     spread2 = np.maximum(_around((values - base) ** 2, block, half) - (mean - base) ** 2, 0.0)
-    roughness = np.sqrt(np.maximum(slope2, 0.0))  # rounding of the running sums
+    roughness, spread = np.sqrt(np.maximum(slope2, 0.0)), np.sqrt(spread2)  # rounding of the running sums
     with np.errstate(divide="ignore", invalid="ignore"):
-        length = np.where(roughness > 0.0, 2.0 * np.sqrt(spread2) / roughness, np.nan)
+        length = np.where(roughness > 0.0, 2.0 * spread / roughness, np.nan)
     entropy, alike = np.empty(grid.shape), np.empty(grid.shape)
     entropies(values, block, half, math.hypot(sensor_sigma, chart.sigma), entropy)
     coarse = values.reshape(rows, block, cols, block).mean(axis=(1, 3))
     reach = int(np.clip(round(2.0 * position_sigma_m / grid.side_m), 2, MOST_REACH))
     likeness(coarse, PATCH_BLOCKS, 1, reach, alike)
-    return [grid_.astype(np.float32) for grid_ in (roughness, length, entropy, alike)]
+    return _single(roughness), _single(spread), _single(length), _single(entropy), _single(alike)
+
+
+def _single(values: FloatArray) -> Float32Array:
+    """As float32."""
+    return np.asarray(values, dtype=np.float32)
 
 
 def _parts(rows: FloatArray) -> list[FloatArray]:

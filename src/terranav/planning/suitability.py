@@ -111,8 +111,10 @@ class Suitability:
     drms_m : (headings, rows, cols) float32 [m]
     roughness : (rows, cols) float32 [unit/m]
         Root mean square slope of the ground around.
+    spread : (rows, cols) float32 [unit]
+        Standard deviation of the heights around.
     correlation_m : (rows, cols) float32 [m]
-        Of the ground around: 2 std / roughness, the length L of a field with covariance std^2 exp(-(r/L)^2).
+        Of the ground around: 2 spread / roughness, the length L of a field with covariance std^2 exp(-(r/L)^2).
     entropy_bits : (rows, cols) float32
         Of the heights around, in bins as wide as a reading's error with the map's.
     self_similarity : (rows, cols) float32
@@ -129,11 +131,19 @@ class Suitability:
     sigma_m: Float32Array
     drms_m: Float32Array
     roughness: Float32Array
+    spread: Float32Array
     correlation_m: Float32Array
     entropy_bits: Float32Array
     self_similarity: Float32Array
     settings: LegSettings
     ins: InsGrade
+
+    @property
+    def transform(self) -> tuple[float, float, float, float, float, float]:
+        """As `Map.transform`, of the grids in longitude and latitude [deg]."""
+        south, east = float(self.lat_deg[0] - self.lat_deg[1]), float(self.lon_deg[1] - self.lon_deg[0])
+        west_edge, north_edge = float(self.lon_deg[0]) - 0.5 * east, float(self.lat_deg[0]) + 0.5 * south
+        return east, 0.0, west_edge, 0.0, -south, north_edge
 
     @property
     def worst_m(self) -> FloatArray:
@@ -161,6 +171,17 @@ class Suitability:
         """(rows, cols) heading of the smallest `sigma_m` [deg], NaN without one."""
         chosen = np.where(np.isnan(self.sigma_m), np.inf, self.sigma_m).argmin(axis=0)
         return np.where(np.isnan(self.best_m), np.nan, self.headings_deg[chosen])
+
+    def at(self, lat_deg: float, lon_deg: float, heading_deg: float) -> float:
+        """`sigma_m` of the block at a place and of the heading nearest to one [m]; NaN off the blocks or without it."""
+        row = (self.lat_deg[0] - lat_deg) / (self.lat_deg[0] - self.lat_deg[1])
+        col = (lon_deg - self.lon_deg[0] + 180.0) % 360.0 - 180.0
+        col /= self.lon_deg[1] - self.lon_deg[0]
+        i, k = math.floor(row + 0.5), math.floor(col + 0.5)
+        if not (0 <= i < self.lat_deg.size and 0 <= k < self.lon_deg.size):
+            return math.nan
+        count = self.headings_deg.size
+        return float(self.sigma_m[math.floor(heading_deg * count / 360.0 + 0.5) % count, i, k])
 
     def share_within(self, limit_m: float) -> dict[str, float]:
         """Of the blocks with a leg, the share whose best, median and worst heading stays within a limit [m]."""
@@ -199,9 +220,9 @@ def suitability(chart: Map, ins: InsGrade | None = None, settings: LegSettings |
     sigma, drms = np.empty((2, headings.size, *grid.shape), dtype=np.float32)
     for k, heading in enumerate(headings):
         sigma[k], drms[k] = _heading(chart, model, grid, settings, math.radians(heading))
-    roughness, length, entropy, alike = statistics(chart, grid, settings.sensor_sigma, ins.position_sigma_m)
+    ground = statistics(chart, grid, settings.sensor_sigma, ins.position_sigma_m)
     lat, lon = grid.lat_deg(np.arange(grid.shape[0])), grid.lon_deg(np.arange(grid.shape[1]))
-    return Suitability(lat, lon, grid.side_m, headings, sigma, drms, roughness, length, entropy, alike, settings, ins)
+    return Suitability(lat, lon, grid.side_m, headings, sigma, drms, *ground, settings=settings, ins=ins)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def about() -> None:
 def suitability(
     file: Annotated[Path, typer.Argument(metavar="MAP", help="Any GDAL raster or NetCDF/GMT grid.")],
     *,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the picture and the grids.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the picture and the GeoTIFFs.")],
     sensor_sigma: Annotated[float, typer.Option(metavar="S", help="1-sigma of a reading, in the kind's unit.")] = 5.0,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Readings a second.")] = 1.0,
     speed: Annotated[float, typer.Option(metavar="MPS", help="Ground speed, in m/s.")] = 60.0,
@@ -37,11 +37,18 @@ def suitability(
     limit: Annotated[float, typer.Option(metavar="M", help="Largest 1-sigma that is good enough, in m.")] = 50.0,
     block: Annotated[int, typer.Option(metavar="CELLS", help="Side of a block of the answer.")] = 4,
     anchor: Annotated[str, typer.Option(metavar="WHERE", help="Legs end or start at their place: end, start.")] = "end",
+    readings_a_cell: Annotated[
+        int, typer.Option(metavar="N", help="Of a faster sensor so many are followed one by one; fewer are quicker.")
+    ] = 4,
     kind: Annotated[str, typer.Option(metavar="KIND", help="terrain, bathymetry, gravity or magnetic.")] = "terrain",
     sigma: Annotated[float | None, typer.Option(metavar="S", help="1-sigma error of the map.")] = None,
+    map_correlation: Annotated[
+        float | None, typer.Option(metavar="M", help="Correlation length of the map's error, in m; else 2.5 cells.")
+    ] = None,
     crs: Annotated[str | None, typer.Option(metavar="CRS", help="For a file that states none.")] = None,
     variable: Annotated[str | None, typer.Option(metavar="NAME", help="NetCDF variable or raster band.")] = None,
     unit: Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of the values, such as ft.")] = None,
+    positive_down: Annotated[bool, typer.Option("--positive-down", help="The file holds depths: negate them.")] = False,
     as_json: options.Json = False,
 ) -> int:
     """Say where on a map terrain-aided navigation works: the bound of a straight leg at each place and heading."""
@@ -52,10 +59,15 @@ def suitability(
     from terranav.planning import suitability as planning
 
     finite("--limit", limit, above=0.0)
-    settings = planning.LegSettings(sensor_sigma, rate, speed, 1000.0 * distance, headings, block, anchor)
+    settings = planning.LegSettings(
+        sensor_sigma, rate, speed, 1000.0 * distance, headings, block, anchor, readings_a_cell
+    )
     grade = ins_from("--ins", ins)
     _folder(out)
-    chart = open_map(file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit)
+    chart = open_map(
+        file, kind=kind, sigma=sigma, correlation_m=map_correlation, crs=crs, variable=variable, unit=unit,
+        positive_down=positive_down,
+    )  # fmt: skip
     with working("flying every leg"):
         found = planning.suitability(chart, grade, settings)
     files = _write(found, chart, limit, out)
@@ -78,18 +90,31 @@ def _folder(out: Path) -> None:
 
 
 def _write(found: Suitability, chart: Map, limit_m: float, out: Path) -> dict[str, str]:
-    """The picture and the grids."""
-    import numpy as np
-
+    """The picture, and the grids as two GeoTIFFs in longitude and latitude."""
     from terranav.app.style import png
     from terranav.app.suitability_figure import suitability_map
+    from terranav.io.raster_out import Layer, write_layers
 
-    picture, grids = out / "suitability.png", out / "suitability.npz"
+    picture, grids, by_heading = out / "suitability.png", out / "suitability.tif", out / "sigma_by_heading.tif"
+    layers = [
+        Layer("1-sigma on the best heading", found.best_m, "m"),
+        Layer("1-sigma on the median heading", found.median_m, "m"),
+        Layer("1-sigma on the worst heading", found.worst_m, "m"),
+        Layer("best heading", found.best_heading_deg, "deg"),
+        Layer("roughness: rms slope", found.roughness, f"{chart.unit}/m"),
+        Layer("spread: standard deviation", found.spread, chart.unit),
+        Layer("correlation length", found.correlation_m, "m"),
+        Layer("entropy", found.entropy_bits, "bit"),
+        Layer("self-similarity", found.self_similarity, "1"),
+    ]
+    legs = [
+        Layer(f"1-sigma on heading {heading:g} deg", grid, "m")
+        for heading, grid in zip(found.headings_deg.tolist(), found.sigma_m, strict=True)
+    ]
+    write_layers(grids, layers, found.transform, "EPSG:4326", force=True)
+    write_layers(by_heading, legs, found.transform, "EPSG:4326", force=True)
     picture.write_bytes(png(suitability_map(found, chart, limit_m)))
-    names = ("sigma_m", "drms_m", "roughness", "correlation_m", "entropy_bits", "self_similarity")
-    axes = {name: getattr(found, name) for name in ("lat_deg", "lon_deg", "headings_deg")}
-    np.savez_compressed(grids, **axes, **{name: getattr(found, name) for name in names})
-    return {"picture": str(picture), "grids": str(grids)}
+    return {"picture": str(picture), "grids": str(grids), "by_heading": str(by_heading)}
 
 
 def _facts(found: Suitability, chart: Map, limit_m: float, files: dict[str, str]) -> dict[str, Any]:
@@ -105,6 +130,7 @@ def _facts(found: Suitability, chart: Map, limit_m: float, files: dict[str, str]
 
     return {
         "map": {"name": chart.name, "kind": chart.kind, "unit": chart.unit, "sigma": chart.sigma},
+        "map_correlation_m": chart.error_length_m,
         "settings": asdict(found.settings),
         "ins": asdict(found.ins),
         "block_m": found.block_m,
@@ -115,6 +141,7 @@ def _facts(found: Suitability, chart: Map, limit_m: float, files: dict[str, str]
         "within_limit": found.share_within(limit_m),
         "sigma_m": {name: spread(getattr(found, f"{name}_m")) for name in ("best", "median", "worst")},
         "roughness": spread(found.roughness),
+        "spread": spread(found.spread),
         "correlation_m": spread(found.correlation_m),
         "entropy_bits": spread(found.entropy_bits),
         "self_similarity": spread(found.self_similarity),
@@ -143,5 +170,6 @@ def _show(facts: dict[str, Any]) -> None:
             ("likeness", f"{number(facts['self_similarity']['median'])} to the most alike place (1: the same)"),
             ("picture", facts["files"]["picture"]),
             ("grids", facts["files"]["grids"]),
+            ("headings", facts["files"]["by_heading"]),
         ]
     )
