@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from terranav.core.errors import DataError
 from terranav.core.ins_grade import InsGrade
-from terranav.core.recording import COLUMNS, RAW, READY, Recording
+from terranav.core.recording import COLUMNS, HEIGHTS, RAW, READY, Recording
 from terranav.io.recordings import read_recording, write_recording
 
 HEADER = "time_s,lat_deg,lon_deg,alt_m"
@@ -29,6 +29,7 @@ def same(a: Recording, b: Recording) -> bool:
         and all(np.array_equal(a.columns[key], b.columns[key], equal_nan=True) for key in a.columns)
         and all(np.array_equal(np.signbit(a.columns[key]), np.signbit(b.columns[key])) for key in a.columns)
         and (a.ins, dict(a.sigma), dict(a.source), a.name) == (b.ins, dict(b.sigma), dict(b.source), b.name)
+        and dict(a.datum) == dict(b.datum)
     )
 
 
@@ -62,6 +63,9 @@ def recordings(draw: st.DrawFn) -> Recording:
         sigma=draw(st.dictionaries(st.sampled_from([*READY, *RAW]), positive, max_size=3)),
         source=draw(st.dictionaries(TEXTS, TEXTS, max_size=3)),
         name=draw(TEXTS),
+        datum=draw(
+            st.dictionaries(st.sampled_from(HEIGHTS), st.sampled_from(["EGM96", "EPSG:3855", "MSL"]), max_size=3)
+        ),
     )
 
 
@@ -110,6 +114,38 @@ def test_the_csv_is_what_the_contract_says(tmp_path: Path) -> None:
     assert text == f"{HEADER},terrain_m\n0.0,47.0,9.0,500.0,\n0.1,-0.0,9.1,100.0,0.3333333333333333\n"
     assert tomllib.loads((tmp_path / "f.toml").read_text()) == {"name": "recording", "source": {"who": 'a "b"\n'}}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f.csv", "f.toml"]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_recording_names_what_its_heights_count_from(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "flight.csv").write_text(ROWS)
+    (tmp_path / "flight.toml").write_text("[vertical_datum]\nall = 'EPSG:5773'\nalt_m = 'WGS 84 ellipsoid'\n")
+    rec = read_recording(tmp_path / "flight.csv")
+    assert (rec.datum_of("terrain_m"), rec.datum_of("alt_m")) == ("EPSG:5773", "WGS 84 ellipsoid")
+    write_recording(rec, tmp_path / f"again{suffix}")
+    again = read_recording(tmp_path / f"again{suffix}")
+    assert dict(again.datum) == {"all": "EPSG:5773", "alt_m": "WGS 84 ellipsoid"}
+    assert dict(again.between(0.0, 0.5).datum) == dict(again.with_columns(vn_mps=np.zeros(2)).datum) == dict(rec.datum)
+    (tmp_path / "flight.toml").write_text("vertical_datum = 'EGM2008'\n")
+    short = read_recording(tmp_path / "flight.csv")
+    assert (short.datum_of("baro_altitude_m"), dict(short.datum)) == ("EGM2008", {"all": "EGM2008"})
+    (tmp_path / "flight.toml").unlink()
+    assert read_recording(tmp_path / "flight.csv").datum_of("alt_m") is None
+
+
+def test_a_datum_that_could_not_be_read_back_is_not_written(tmp_path: Path) -> None:
+    columns = {key: np.zeros(1) for key in HEADER.split(",")}
+    with pytest.raises(
+        DataError, match=r"^recording: vertical_datum of all is 'EGM69' \(did you mean 'EGM96'\?\), exp"
+    ):
+        write_recording(Recording(columns, datum={"all": "EGM69"}), tmp_path / "f.csv")
+    assert not list(tmp_path.iterdir())
+    for datum, message in (
+        ({"alt": "EGM96"}, r"unknown key 'alt' in \[vertical_datum\]"),
+        ({"all": 5}, "all is 5, exp"),
+    ):
+        with pytest.raises(DataError, match=message):
+            Recording(columns, datum=datum)  # type: ignore[arg-type]
 
 
 def test_a_csv_as_spreadsheets_write_it(tmp_path: Path) -> None:
@@ -187,6 +223,13 @@ def test_bad_csv(tmp_path: Path, text: str, message: str) -> None:
         ("[sigma]\nterrain_m = -3.0\n", r"flight.toml: \[sigma\] terrain_m is -3.0, expected a finite number and > 0"),
         ("[sigma]\nterrain = 3.0\n", r"flight.toml: unknown key '\[sigma\] terrain' \(did you mean 'terrain_m'\?\)"),
         ("[source]\nyear = 2021\n", r"flight.toml: \[source\] year is 2021, expected a text"),
+        ("vertical_datum = 5\n", r"flight.toml: vertical_datum is 5, expected a text such as \"EGM96\", or a table"),
+        ("vertical_datum = 'EGM69'\n", r"flight.toml: \[vertical_datum\] all is 'EGM69' \(did you mean 'EGM96'\?\)"),
+        (
+            "[vertical_datum]\nalt = 'EGM96'\n",
+            r"unknown key '\[vertical_datum\] alt' \(did you mean 'al[tl]_?m?'\?\); known",
+        ),
+        ("[vertical_datum]\nalt_m = 5\n", r"flight.toml: \[vertical_datum\] alt_m is 5, expected a text"),
         ("name = 3\n", "flight.toml: name is 3, expected a text"),
         ("[ins\n", "flight.toml: is not valid TOML: "),
         ("", "flight.toml: the file is empty, expected what is constant over flight.csv"),

@@ -32,6 +32,8 @@ RAW = {
 }
 #: ready measurement column -> its Kind
 READY = {kind.column: kind for kind in KINDS.values()}
+#: what a recording can name the vertical datum of: 'all' is every height that is not named itself
+HEIGHTS = ("all", "alt_m", "true_alt_m", "baro_altitude_m", "terrain_m", "depth_m")
 #: 1-sigma [m] assumed for a raw reading when the recording states none
 DEFAULT_RAW_SIGMA_M = {"radar_altitude_m": 3.0, "laser_altitude_m": 1.0, "baro_altitude_m": 5.0}
 
@@ -66,13 +68,16 @@ class Recording:
         Who measured, licence, how it was made; free text.
     name : str
         Of the file or the scenario, for messages and reports.
+    datum : mapping
+        What the heights count from, in the words of `terranav.maps.datum`: under 'all' for all of them, under
+        'alt_m', 'true_alt_m', 'baro_altitude_m', 'terrain_m', 'depth_m' for those that differ. Empty is unknown.
 
     Raises
     ------
     DataError
         Naming the recording, the column, the row (from 1) and the value: a missing or unknown column, lengths that
         differ, zero epochs, times that do not increase, a position that is NaN or out of range, an infinite value, a
-        sigma that is not positive, a source that is not text.
+        sigma that is not positive, a source that is not text, a datum of no height.
     """
 
     columns: Mapping[str, FloatArray]
@@ -80,21 +85,25 @@ class Recording:
     sigma: Mapping[str, float] = field(default_factory=dict)
     source: Mapping[str, str] = field(default_factory=dict)
     name: str = "recording"
+    datum: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         columns = {key: np.array(value, dtype=np.float64) for key, value in self.columns.items()}
         _check_shape(self.name, columns)
         _check_values(self.name, columns)
         _check_facts(self.name, self.sigma, self.source)
+        _check_datum(self.name, self.datum)
         for array in columns.values():
             array.flags.writeable = False
         ordered = {key: columns[key] for key in COLUMNS if key in columns}
         object.__setattr__(self, "columns", MappingProxyType(ordered))
         object.__setattr__(self, "sigma", MappingProxyType({key: float(value) for key, value in self.sigma.items()}))
         object.__setattr__(self, "source", MappingProxyType(dict(self.source)))
+        object.__setattr__(self, "datum", MappingProxyType(dict(self.datum)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (Recording, (dict(self.columns), self.ins, dict(self.sigma), dict(self.source), self.name))
+        facts = (dict(self.sigma), dict(self.source), self.name, dict(self.datum))
+        return (Recording, (dict(self.columns), self.ins, *facts))
 
     def __repr__(self) -> str:
         told = [f"{key} {np.count_nonzero(np.isfinite(self.columns[key]))}" for key in self.readings] or ["no readings"]
@@ -171,6 +180,10 @@ class Recording:
             default, own = DEFAULT_RAW_SIGMA_M[column], None
         constant = np.full(len(self), float(self.sigma.get(column, default)))
         return constant if own is None else np.where(np.isfinite(own), own, constant)
+
+    def datum_of(self, column: str) -> str | None:
+        """What the heights of a column count from, in the recording's words; None where it does not say."""
+        return self.datum.get(column, self.datum.get("all"))
 
     def between(self, start_s: float, end_s: float) -> Recording:
         """The epochs with start_s <= time <= end_s; DataError when there are none."""
@@ -249,3 +262,13 @@ def _check_facts(name: str, sigma: Mapping[str, float], source: Mapping[str, str
     for key, text in source.items():
         if not isinstance(key, str) or not isinstance(text, str):
             raise DataError(f"{name}: [source] {key} is {text!r}, expected a text")
+
+
+def _check_datum(name: str, datum: Mapping[str, str]) -> None:
+    """Raise DataError for a datum of no height, or that is not text."""
+    for key, text in datum.items():
+        if key not in HEIGHTS:
+            near = nearest_name(key, HEIGHTS)
+            raise DataError(f"{name}: unknown key {key!r} in [vertical_datum]{near}; known: {', '.join(HEIGHTS)}")
+        if not isinstance(text, str):
+            raise DataError(f"{name}: [vertical_datum] {key} is {text!r}, expected a text such as 'EGM96'")

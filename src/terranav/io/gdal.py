@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import logging
+import math
+import os
 import re
+import threading
 import warnings
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,45 +20,91 @@ from numpy.typing import NDArray
 
 from terranav.core.errors import DataError
 from terranav.io.grids import Grid, in_strips
+from terranav.maps.datum import split_crs, vertical_datum
 from terranav.maps.georeference import Transform, Window
 
-_DATUMS = {"E96": "EGM96", "E08": "EGM2008", "MSL": "mean sea level"}  # DTED's codes
+_DATUM_TAGS = ("dted_verticaldatum", "vertical_datum", "verticaldatum")  # DTED's own, and what write_map writes
+
+MOST_OPEN = 8  # rasters that a thread keeps open
+CACHE_BYTES = 32 * 2**20  # of decoded blocks of all files that are kept open, unless the environment says otherwise
+
+_OPEN = threading.local()
 
 
 def read_raster(file: Path, variable: str | int | None) -> Grid:
     """What one band of a GDAL raster is."""
     with _opened(file) as raster:
         band = _band(file, raster, variable)
-        crs, datum = _crs_and_datum(file, raster)
+        crs, datum = _crs_and_datum(file, raster, band)
         scale, offset, unit = raster.scales[band - 1], raster.offsets[band - 1], raster.units[band - 1] or ""
         shape, transform = (raster.height, raster.width), _transform(file, raster)
 
-    def read(window: Window, factor: float) -> NDArray[np.float32]:
-        with _opened(file) as again:
+    def read(window: Window, factor: float, *, keep: bool = False) -> NDArray[np.float32]:
+        with _kept(file) if keep else _opened(file) as again:
 
             def part(row: int, past: int) -> NDArray[np.float64]:
                 rows = ((row, past), window[1])
-                values: NDArray[np.float64] = again.read(band, window=rows).astype(np.float64) * scale + offset
-                values[again.read_masks(band, window=rows) == 0] = np.nan
+                raw = again.read(band, window=rows)
+                values: NDArray[np.float64] = raw.astype(np.float64) * scale + offset
+                values[_void(again, band, rows, raw)] = np.nan
                 return values
 
             return in_strips(window, part, factor)
 
-    return Grid(shape, transform, read, crs, unit, datum)
+    return Grid(shape, transform, read, crs, unit, datum, again=partial(read, keep=True))
+
+
+def _void(raster: Any, band: int, window: Window, raw: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which cells of a window have no value; told from the values as stored where they say it, else from the mask."""
+    nodata, flags = raster.nodatavals[band - 1], [flag.name for flag in raster.mask_flag_enums[band - 1]]
+    if flags == ["all_valid"]:
+        return np.zeros(raw.shape, np.bool_)
+    if flags == ["nodata"] and nodata is not None:
+        if math.isnan(nodata) and raw.dtype.kind == "f":
+            return np.asarray(np.isnan(raw))
+        if raw.dtype.kind == "f" or (raw.dtype.kind in "iu" and float(np.array(nodata).astype(raw.dtype)) == nodata):
+            return np.asarray(raw == raw.dtype.type(nodata))
+    return np.asarray(raster.read_masks(band, window=window) == 0)
+
+
+@contextmanager
+def _kept(file: Path) -> Iterator[Any]:
+    """A raster that stays open for the next window of this thread, until MOST_OPEN others have been."""
+    rasters: OrderedDict[Path, Any] = _OPEN.__dict__.setdefault("rasters", OrderedDict())
+    raster = rasters.pop(file, None)
+    with _as_data_error(file):
+        if raster is None:
+            import rasterio
+
+            own = {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE_BYTES}
+            with rasterio.Env(**own):
+                raster = rasterio.open(file)
+        yield raster
+        rasters[file] = raster
+        if len(rasters) > MOST_OPEN:
+            rasters.popitem(last=False)[1].close()
 
 
 @contextmanager
 def _opened(file: Path) -> Iterator[Any]:
     """A raster; what GDAL raises is a DataError."""
     import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.errors import NotGeoreferencedWarning
 
     logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's remarks stay off the terminal
+    with _as_data_error(file), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(file) as raster:
+            yield raster
+
+
+@contextmanager
+def _as_data_error(file: Path) -> Iterator[None]:
+    """What GDAL raises over a file, as a DataError that names it."""
+    from rasterio.errors import RasterioError
+
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(file) as raster:
-                yield raster
+        yield
     except (RasterioError, OSError) as error:
         reason = " ".join(str(error).replace(f"'{file}'", "it").replace(str(file), "it").split())[:200]
         raise DataError(f"{file}: not a readable raster ({reason}), expected a map raster{_hgt_hint(file)}") from None
@@ -81,29 +132,18 @@ def _transform(file: Path, raster: Any) -> Transform:
     return affine.a, affine.b, affine.c, affine.d, affine.e, affine.f
 
 
-def _crs_and_datum(file: Path, raster: Any) -> tuple[str | None, str | None]:
+def _crs_and_datum(file: Path, raster: Any, band: int) -> tuple[str | None, str | None]:
     """Horizontal CRS and vertical datum, where stated; .hgt is EGM96 by its definition."""
-    code = raster.tags().get("DTED_VerticalDatum")
-    datum = "EGM96" if raster.driver == "SRTMHGT" else _DATUMS.get(code, code)
+    tags = {key.lower(): value for key, value in (*raster.tags().items(), *raster.tags(band).items())}
+    told = next((tags[key] for key in _DATUM_TAGS if key in tags), None)
+    datum = "EGM96" if raster.driver == "SRTMHGT" else vertical_datum(told)
     if raster.crs is None:
         return None, datum
     text = str(raster.crs.to_string())
-    if text.startswith(("COMPD_CS", "COMPOUNDCRS", "EPSG:")) and (parts := _parts(text)):
-        return parts[0], parts[1]
+    if text.startswith(("COMPD_CS", "COMPOUNDCRS", "GEOGCRS", "EPSG:")):
+        text, vertical = split_crs(text)
+        datum = vertical or datum
     return text, datum
-
-
-def _parts(crs: str) -> tuple[str, str] | None:
-    """Horizontal CRS and name of the vertical one of a compound CRS, None for others."""
-    if crs in ("EPSG:4326", "EPSG:4269"):
-        return None
-    from pyproj import CRS
-
-    whole = CRS.from_user_input(crs)
-    if not whole.is_compound:
-        return None
-    horizontal, vertical = whole.sub_crs_list[:2]
-    return str(horizontal.to_string()), str(vertical.name)
 
 
 def _hgt_hint(file: Path) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from terranav.core.checks import nearest_name
 from terranav.core.errors import DataError
 from terranav.core.memory import need
+from terranav.maps.datum import split_crs, vertical_datum
 from terranav.maps.georeference import Transform, Window
 
 STRIP_CELLS = 2**20  # cells that are read at once
@@ -23,6 +24,15 @@ _LATITUDE = frozenset({"lat", "lats", "latitude", "degrees_north", "degree_north
 _ACROSS = _LONGITUDE | {"x", "easting", "projection_x_coordinate", "x-coordinate in cartesian system"}
 _KILOMETRES = frozenset({"km", "kilometre", "kilometres", "kilometer", "kilometers"})
 _UNEVEN = 0.02  # of a cell: what axes stored in single precision are off
+_DATUM_KEYS = ("vertical_datum", "vertical_crs", "vertical_reference", "geopotential_datum_name", "geoid_name", "geoid")
+#: CF standard names that say what heights count from; raster_out gives its heights one whatever they count from, so
+#: surface_altitude and height_above_mean_sea_level say nothing
+_DATUM_NAMES = {
+    "height_above_reference_ellipsoid": "ellipsoid",
+    "sea_floor_depth_below_mean_sea_level": "mean sea level",
+    "sea_surface_height_above_mean_sea_level": "mean sea level",
+    "altitude": "mean sea level",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +55,8 @@ class Grid:
         Vertical datum, where the file states it.
     positive_down : bool
         The file says that its values are depths.
+    again : function or None
+        As `read`, for one window of many: the file stays open.
     """
 
     shape: tuple[int, int]
@@ -54,6 +66,7 @@ class Grid:
     unit: str = ""
     datum: str | None = None
     positive_down: bool = False
+    again: Callable[[Window, float], NDArray[np.float32]] | None = None
 
 
 def in_strips(window: Window, part: Callable[[int, int], NDArray[Any]], factor: float) -> NDArray[np.float32]:
@@ -72,6 +85,14 @@ def in_strips(window: Window, part: Callable[[int, int], NDArray[Any]], factor: 
         past = min(row + step, last)
         out[row - first : past - first] = part(row, past) * factor
     return out
+
+
+def grid_names(file: Path) -> tuple[list[str], tuple[str, ...]]:
+    """Names of the variables of a NetCDF file that can be maps, and every text attribute of the file and of them."""
+    with _opened(file) as data:
+        names = _grid_names(data)
+        told = [data.attrs, *(data[name].attrs for name in names)]
+        return names, tuple(value for facts in told for value in facts.values() if isinstance(value, str))
 
 
 def is_netcdf(file: Path) -> bool:
@@ -133,7 +154,7 @@ def _read_gmt3(file: Path, data: Any) -> Grid:
         west, east = window[1]
         return in_strips(window, lambda row, past: values[row:past, west:east], factor)
 
-    return Grid((rows, cols), transform, read, "EPSG:4326" if lonlat else None, unit)
+    return Grid((rows, cols), transform, read, "EPSG:4326" if lonlat else None, unit, _stated_datum(data, z))
 
 
 def _read_cf(file: Path, data: Any, variable: str | None) -> Grid:
@@ -143,7 +164,10 @@ def _read_cf(file: Path, data: Any, variable: str | None) -> Grid:
         raise DataError(f"{file}: map of {z.shape[0]} x {z.shape[1]} cells, expected at least 2 rows and 2 columns")
     y_axis, x_axis = (_axis(file, z, dim) for dim in z.dims)
     (y0, dy), (x0, dx) = _even(file, y_axis), _even(file, x_axis)
-    crs = _stated_crs(data, z)
+    crs, datum = _stated_crs(data, z), _stated_datum(data, z)
+    if crs is not None:
+        crs, compound = split_crs(crs)
+        datum = datum or compound
     if crs is None and _says(x_axis, _LONGITUDE) and _says(y_axis, _LATITUDE):
         crs = "EPSG:4326"
 
@@ -159,6 +183,7 @@ def _read_cf(file: Path, data: Any, variable: str | None) -> Grid:
         transform=(dx, 0.0, x0 - 0.5 * dx, 0.0, dy, y0 - 0.5 * dy),
         crs=crs,
         unit=str(z.attrs.get("units", "")),
+        datum=datum,
         positive_down=str(z.attrs.get("positive", "")).lower() == "down",
     )
 
@@ -175,7 +200,7 @@ def _plane(file: Path, data: Any, variable: str | None) -> Any:
 
 def _pick(file: Path, data: Any, variable: str | None) -> Any:
     """The variable of this name, or the only one that can be a map."""
-    grids = [str(name) for name, z in data.data_vars.items() if z.ndim >= 2 and np.issubdtype(z.dtype, np.number)]
+    grids = _grid_names(data)
     if variable is not None:
         if variable not in grids:
             known = ", ".join(grids) or "none"
@@ -185,6 +210,11 @@ def _pick(file: Path, data: Any, variable: str | None) -> Any:
         found = f"several grids ({', '.join(grids)}), say which with variable=" if grids else "no grid"
         raise DataError(f"{file}: holds {found}, expected one variable in two dimensions")
     return data[grids[0]]
+
+
+def _grid_names(data: Any) -> list[str]:
+    """The variables that have two dimensions or more, of numbers."""
+    return [str(name) for name, z in data.data_vars.items() if z.ndim >= 2 and np.issubdtype(z.dtype, np.number)]
 
 
 def _axis(file: Path, z: Any, dim: Any) -> Any:
@@ -232,3 +262,15 @@ def _stated_crs(data: Any, z: Any) -> str | None:
         return str(CRS.from_cf(attributes).to_wkt())
     except (CRSError, KeyError):
         return None
+
+
+def _stated_datum(data: Any, z: Any) -> str | None:
+    """The vertical datum that the attributes of the variable, of its grid mapping or of the file state."""
+    mapping = str(z.encoding.get("grid_mapping") or z.attrs.get("grid_mapping"))
+    told = [z.attrs, data[mapping].attrs if mapping in data.variables else {}, data.attrs]
+    for facts in told:
+        lower = {str(key).lower(): value for key, value in facts.items()}
+        for key in _DATUM_KEYS:
+            if isinstance(lower.get(key), str) and (name := vertical_datum(lower[key])):
+                return name
+    return _DATUM_NAMES.get(str(z.attrs.get("standard_name", "")))

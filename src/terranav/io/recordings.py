@@ -49,7 +49,7 @@ def read_recording(path: str | Path) -> Recording:
         columns, about = _read_parquet(file)
     name = file.stem if about.name is None else about.name
     try:
-        return Recording(columns, ins=about.ins, sigma=about.sigma, source=about.source, name=name)
+        return Recording(columns, about.ins, about.sigma, about.source, name, about.datum)
     except DataError as problem:
         raise DataError(f"{path}: {str(problem).removeprefix(f'{name}: ')}") from None
 
@@ -145,7 +145,7 @@ def _about_metadata(file: Path, metadata: Mapping[bytes, bytes]) -> About:
     except ValueError as problem:
         raise DataError(f"{where}: is not valid JSON: {problem}") from None
     if not isinstance(facts, dict):
-        raise DataError(f"{where}: is {facts!r}, expected an object with name, ins, sigma, source")
+        raise DataError(f"{where}: is {facts!r}, expected an object with name, ins, sigma, source, vertical_datum")
     table = TomlTable(facts, where, DataError)
     about = about_from(table)
     table.close()

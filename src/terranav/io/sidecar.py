@@ -1,4 +1,4 @@
-"""What is constant over a recording: `name`, `[ins]`, `[sigma]`, `[source]`.
+"""What is constant over a recording: `name`, `[ins]`, `[sigma]`, `[source]`, `vertical_datum`.
 
 It stands in a TOML file beside a CSV recording, as JSON in the metadata of a Parquet recording, and in the columns file
 that converts a table; the keys are the same everywhere.
@@ -11,10 +11,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from terranav.core.errors import ConfigError
+from terranav.core.errors import ConfigError, DataError
 from terranav.core.ins_grade import InsGrade
-from terranav.core.recording import RAW, READY, Recording
+from terranav.core.recording import HEIGHTS, RAW, READY, Recording
 from terranav.io.toml_table import TomlTable
+from terranav.maps.datum import stated_datum
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class About:
     ins: InsGrade | None = None
     sigma: dict[str, float] = field(default_factory=dict)
     source: dict[str, str] = field(default_factory=dict)
+    datum: dict[str, str] = field(default_factory=dict)
 
 
 def about_from(table: TomlTable) -> About:
@@ -34,14 +36,22 @@ def about_from(table: TomlTable) -> About:
         ins=_ins(table.table("ins")),
         sigma=_sigma(table.table("sigma")),
         source=_source(table.table("source")),
+        datum=_datum(table),
     )
 
 
 def facts_of(rec: Recording) -> dict[str, Any]:
-    """Return the facts of a recording as plain nested values: the tables of the TOML file, the JSON of the metadata."""
+    """Return the facts of a recording as plain nested values: the tables of the TOML file, the JSON of the metadata.
+
+    DataError for a vertical datum that nobody knows.
+    """
     facts: dict[str, Any] = {"name": rec.name}
     if rec.ins is not None:
         facts["ins"] = asdict(rec.ins)
+    if rec.datum:
+        for key, text in rec.datum.items():  # what is written can be read
+            stated_datum(text, f"{rec.name}: vertical_datum of {key}", DataError)
+        facts["vertical_datum"] = dict(rec.datum)
     return {**facts, "sigma": dict(rec.sigma), "source": dict(rec.source)}
 
 
@@ -87,6 +97,23 @@ def _sigma(table: TomlTable | None) -> dict[str, float]:
 def _source(table: TomlTable | None) -> dict[str, str]:
     """[source]: any keys, each with a text."""
     return {} if table is None else {key: table.text(key) or "" for key in table.given()}
+
+
+def _datum(facts: TomlTable) -> dict[str, str]:
+    """vertical_datum: one for all heights, or a table with one per column; as it stands, once it is a known one."""
+    value = facts.value("vertical_datum")
+    if value is None:
+        return {}
+    if isinstance(value, str):
+        value = {"all": value}
+    elif not isinstance(value, dict):
+        facts.fail("vertical_datum", 'a text such as "EGM96", or a table [vertical_datum]')
+    table = facts.inner(value, "[vertical_datum]")
+    for key in table.given():
+        if key not in HEIGHTS:
+            table.unknown(key, HEIGHTS)
+        stated_datum(table.text(key), f"{table.where}: [vertical_datum] {key}", table.error)
+    return {key: table.text(key) or "" for key in table.given()}
 
 
 def _literal(value: str | float) -> str:

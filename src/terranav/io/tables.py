@@ -47,6 +47,7 @@ The columns file, key by key (everything is optional unless it says otherwise)::
 
     [ins]                          # what was known of the INS: the keys of InsGrade
     [sigma]                        # 1-sigma per reading column: terrain_m = 2.0
+    [vertical_datum]               # what heights count from: all = "EGM96", alt_m = "ellipsoid", ...
     [source]                       # texts: who measured, licence
 
 Units: m km cm mm ft us_ft fathom nmi; deg rad arcmin arcsec grad; m/s cm/s km/h kn ft/s ft/min; mGal uGal Gal um/s2
@@ -127,7 +128,7 @@ def convert_table(table_path: str | Path, columns_toml_path: str | Path) -> Reco
     for doubt in _doubts(columns):
         warnings.warn(f"{table_path}: {doubt}", DataWarning, stacklevel=2)
     try:
-        return Recording(columns, ins=about.ins, sigma=about.sigma, source=source, name=name)
+        return Recording(columns, about.ins, about.sigma, source, name, about.datum)
     except DataError as problem:
         raise DataError(f"{table_path}: {str(problem).removeprefix(f'{name}: ')} (rows counted after [rows])") from None
 
