@@ -13,10 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import LightSource
 
 import terranav as tn
 from terranav.app.cli import main
-from terranav.app.mapview import map_page, map_png, pack, relief, view_of
+from terranav.app.mapping import map_words, meridian, parallel
+from terranav.app.mapview import map_page, map_picture, map_png, pack, relief, view_of
+from terranav.app.trackmap import hillshade
 from terranav.io.raster_out import write_map
 from terranav.maps.map import Map
 
@@ -157,6 +160,89 @@ def test_heights_in_two_bytes(values: list[list[float]], error: float) -> None:
     np.testing.assert_allclose(np.where(code == 0, np.nan, base + step * (code - 1.0)), given, atol=error, rtol=0)
 
 
+def test_longitudes_are_from_180_west_to_180_east() -> None:
+    said = [meridian(lon, 2) for lon in (179.5, 180.0, 180.25, -180.0, 359.75, 360.0, -0.001, 10.0)]
+    assert said == ["179.50° E", "180.00°", "179.75° W", "180.00°", "0.25° W", "0.00°", "0.00°", "10.00° E"]
+    assert [parallel(lat, 1) for lat in (-16.5, 0.01, 89.96)] == ["16.5° S", "0.0°", "90.0° N"]
+    chart = Map(HEIGHTS, (0.01, 0.0, 179.7, 0.0, -0.01, -16.0))
+    picture = map_picture(chart, view_of(chart))
+    labels = [text.get_text() for text in picture.axes[0].get_xticklabels()]
+    assert {text[-1] for text in labels} == {"E", "W", "°"}
+    assert not any(float(text.rstrip("°EW ")) > 180.0 for text in labels)
+
+
+def test_lowlands_beside_mountains_show_their_relief() -> None:
+    rng = np.random.default_rng(3)
+    land = np.concatenate([rng.normal(0.0, 1.0, (60, 120)), rng.normal(0.0, 60.0, (60, 40))], axis=1)
+    steep = np.sqrt(np.mean(np.square(np.gradient(land, 100.0)).sum(axis=0)))
+    by_the_mountains = LightSource(315, 45).hillshade(land, vert_exag=0.35 / steep, dx=100.0, dy=100.0)
+    light = hillshade(land, 100.0, 100.0)
+    assert light[:, 5:115].std() > 1.4 * by_the_mountains[:, 5:115].std()
+    level = np.zeros((50, 50))
+    level[20, 20] = 1000.0
+    assert np.isfinite(hillshade(level, 100.0, 100.0)).all()
+
+
+# -- info -------------------------------------------------------------------------------------------------------------
+
+
+def test_info_in_words_a_user_understands(tif: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map", "info", str(tif)]) == 0
+    said = dict(line.split(None, 1) for line in capsys.readouterr().out.splitlines())
+    facts = answered(capsys, "map", "info", tif, "--json")
+    assert said["map"] == "hills.tif: terrain [m], sigma 3 m"
+    assert said["grid"] == "40 x 60 cells of 930 m, EPSG:4326"
+    assert said["extent"] == "45.6100° N to 46.0000° N, 10.0000° E to 10.5900° E"
+    assert said["values"].startswith(f"{facts['min']:g} to {facts['max']:g} m, mean ")
+    assert re.fullmatch(r"[\d.]+ m from cell to cell, [\d.]+ m in all", said["roughness"])
+    assert said["voids"] == "24 cells (1.0 %) without a value"
+    assert (said["datum"], said["suspicious"]) == ("not stated", "nothing")
+    assert facts["voids"] == 24
+    assert facts["suspicious"] == []
+
+
+def test_depths_that_are_positive_are_turned_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_map(Map(HEIGHTS, CHART.transform), tmp_path / "depths.tif")
+    asked = (tmp_path / "depths.tif", "--kind", "bathymetry")
+    before = answered(capsys, "map", "info", *asked, "--json")
+    assert "are these positive depths?" in before["suspicious"][0]
+    turned = answered(capsys, "map", "info", *asked, "--positive-down", "--json")
+    assert (turned["min"], turned["max"], turned["suspicious"]) == (-before["max"], -before["min"], [])
+    answered(capsys, "map", "convert", asked[0], tmp_path / "sea.nc", *asked[1:], "--positive-down", "--json")
+    np.testing.assert_array_equal(tn.open_map(tmp_path / "sea.nc", kind="bathymetry").values, -CHART.values)
+    seen = answered(capsys, "map", "view", *asked, "--positive-down", "--out", tmp_path / "sea.png", "--page", "--json")
+    assert seen["max"] == turned["max"]
+    values, _ = decoded((tmp_path / "sea.html").read_text(encoding="utf-8"))
+    assert np.nanmax(values) == pytest.approx(turned["max"], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("chart", "said"),
+    [
+        (Map(HEIGHTS, CHART.transform, "EPSG:32633"), "cells of 10 mm in EPSG:32633: are the coordinates degrees"),
+        (Map(HEIGHTS, (100.0, 0.0, 5e5, 0.0, -100.0, 5e6)), "are the coordinates metres of another CRS?"),
+        (
+            Map(np.where(HEIGHTS > 700.0, HEIGHTS, 0.0), CHART.transform),
+            "% of the values are exactly 0 m: sea, or voids",
+        ),
+        (Map(HEIGHTS, CHART.transform, sigma=900.0), "less than the map's sigma"),
+        (Map(np.full((4, 4), 7.0), CHART.transform), "every value is 7 m"),
+        (Map(HEIGHTS * 30.0, CHART.transform), "are they in feet?"),
+    ],
+)
+def test_what_is_suspicious_is_said(chart: Map, said: str) -> None:
+    facts = chart.info()
+    assert [text for text in facts["suspicious"] if said in text]
+    assert [text for key, text in map_words(facts) if key == "suspicious"] == facts["suspicious"]
+
+
+def test_words_for_all_longitudes_and_across_180() -> None:
+    polar = Map(HEIGHTS[:40, :40], (2e4, 0.0, -4e5, 0.0, -2e4, 4e5), "EPSG:3413")
+    assert dict(map_words(polar.info()))["extent"].endswith(" to 90.0000° N, all longitudes")
+    fiji = Map(HEIGHTS, (0.01, 0.0, 179.7, 0.0, -0.01, -16.0))
+    assert dict(map_words(fiji.info()))["extent"].endswith("179.7050° E to 179.7050° W")
+
+
 # -- convert ----------------------------------------------------------------------------------------------------------
 
 
@@ -233,6 +319,16 @@ URL = "http://127.0.0.1:1/{lat}_{lon}"
         (("view", "TIF", "--box", "1,2,3,nan"), "expected S,W,N,E"),
         (("view", "TIF", "--box", "1,2,3,4"), "misses the map"),
         (("view", "TIF", "--kind", "terain"), "did you mean 'terrain'"),
+        (("info", "none.tif"), "no such file"),
+        (("info",), "Missing argument 'FILE'"),
+        (("info", "TIF", "--kind", "seabed"), "unknown map kind 'seabed'"),
+        (("info", "TIF", "--sigma", "-1"), "map sigma is -1.0"),
+        (("info", "TIF", "--sigma", "three"), "'--sigma'"),
+        (("info", "TIF", "--unit", "parsec"), "unknown unit of a terrain map 'parsec'"),
+        (("info", "TIF", "--crs", "EPSG:999999"), "unknown crs 'EPSG:999999'"),
+        (("info", "TIF", "--variable", "7"), "no band '7'; bands in it: 1"),
+        (("info", "TIF", "--depth"), "--depth"),
+        (("info", "TIF", "TIF"), "unexpected extra argument"),
         (("view", "TIF", "--out", "none/map.png"), "is not a folder"),
         (("convert", "TIF", "map.jpg"), "the suffix is '.jpg', expected one of .tif"),
         (("convert", "TIF", "N45E010.hgt"), "40 x 60 cells, expected 1201 x 1201"),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from terranav.app.listing import extent
+from terranav.app.listing import map_pairs
+from terranav.app.words import coordinate, percent
 from terranav.core.checks import finite
+from terranav.core.earth import wrap_longitude
 from terranav.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -35,6 +37,45 @@ def required_box(text: str) -> Box:
     if west == east:
         raise ConfigError(f"--box is {text!r} and has no area, expected S,W,N,E with west and east apart")
     return south, west, north, east
+
+
+def map_words(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """`Map.info` in words, with longitudes from -180 to 180, and that nothing is suspicious where nothing is."""
+    words = dict(map_pairs({**facts, "suspicious": []}))
+    words["extent"] = _extent(facts["extent_deg"])
+    size = 5 if facts["std"] >= 1000.0 else 3
+    unit = facts["unit"]
+    words["roughness"] = f"{facts['roughness']:.3g} {unit} from cell to cell, {facts['std']:.{size}g} {unit} in all"
+    if facts["voids"]:
+        words["voids"] = f"{facts['voids']} cells ({percent(facts['void_fraction'], 1)}) without a value"
+    else:
+        words["voids"] = "none"
+    if facts.get("looked_at", 1.0) < 1.0:
+        words["looked at"] = f"{percent(facts['looked_at'], 1)} of the cells, spread over the tiles"
+    doubts = facts["suspicious"] or ["nothing"]
+    return [*words.items(), *[("suspicious", text) for text in doubts]]
+
+
+def meridian(lon_deg: float, digits: int) -> str:
+    """A longitude with its hemisphere, whichever turn it is on: 180.25 is 179.75° W; none at 0 and 180."""
+    lon = round(float(wrap_longitude(lon_deg)), digits)
+    return f"{abs(lon):.{digits}f}°" if lon in (0.0, 180.0, -180.0) else coordinate(lon, "E", "W", digits)
+
+
+def parallel(lat_deg: float, digits: int) -> str:
+    """A latitude with its hemisphere, none at the equator."""
+    lat = round(lat_deg, digits)
+    return f"{0.0:.{digits}f}°" if lat == 0.0 else coordinate(lat, "N", "S", digits)
+
+
+def _extent(box: Mapping[str, float]) -> str:
+    """A box in words."""
+    if box["east"] - box["west"] >= 360.0 - 1e-9:
+        south, north = (parallel(box[side], 4) for side in ("south", "north"))
+        return f"{south} to {north}, all longitudes"
+    west, east = (meridian(box[side], 4) for side in ("west", "east"))
+    south, north = (parallel(box[side], 4) for side in ("south", "north"))
+    return f"{south} to {north}, {west} to {east}"
 
 
 def checked_picture(file: Path, out: Path | None) -> Path:
@@ -93,7 +134,7 @@ def fetched_pairs(found: Sequence[Fetched], box: Box, cache: Path) -> list[tuple
     missing = [one.tile.name for one in found if one.state == "missing"]
     more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""
     return [
-        ("box", extent(*box)),
+        ("box", _extent(dict(zip(("south", "west", "north", "east"), box, strict=True)))),
         ("tiles", f"{len(found)}: {counts}; {sum(one.size for one in found) / 1e6:.1f} MB"),
         *([("no such", ", ".join(missing[:8]) + more)] if missing else []),
         ("written to", str(cache)),

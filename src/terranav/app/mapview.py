@@ -18,6 +18,7 @@ from terranav.app.style import new_figure, png, styled
 from terranav.app.trackmap import dress, hillshade
 from terranav.app.words import distance
 from terranav.core.earth import metres_per_degree
+from terranav.core.errors import DataError
 
 if TYPE_CHECKING:
     from terranav.maps.map import Map
@@ -68,8 +69,18 @@ class View:
 
 
 def view_of(chart: Map, longest: int = LONGEST) -> View:
-    """Sample a map on the hull of its cell centres, north up, at most `longest` samples along a side."""
+    """Sample a map on the hull of its cell centres, north up, at most `longest` samples along a side.
+
+    Raises
+    ------
+    DataError
+        The map reaches beyond the poles: its coordinates are not those of its CRS.
+    """
     south, west, north, east = chart.bounds_deg
+    if south < -90.5 or north > 90.5:
+        raise DataError(
+            f"{chart.name}: latitudes from {south:g} to {north:g} in {chart.crs}, expected -90 to 90 or another --crs"
+        )
     rows, cols = (min(size, longest) for size in chart.shape)
     lat, lon = np.linspace(north, south, rows), np.linspace(west, east, cols)
     at_row, at_col = chart.cells(lat[:, None], lon[None, :])

@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from terranav.app.mapping import meridian, parallel
 from terranav.app.outcome import BASELINE, Outcome
 from terranav.app.style import INS, TRUTH, colours, new_figure, nice_length, styled
-from terranav.app.words import coordinate, distance
+from terranav.app.words import distance
 from terranav.core.earth import metres_per_degree
 from terranav.core.records import Status
 
@@ -83,11 +84,10 @@ def dress(axes: Axes, frame: Frame, *, bar_left: bool = True) -> None:
     per_lat, per_lon = (float(value) for value in metres_per_degree(0.5 * (south + north)))
     axes.set_aspect(per_lat / per_lon)
     axes.grid(visible=False)
-    digits = max(0, math.ceil(-math.log10(min(north - south, east - west) / 6)))
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: coordinate(x, "E", "W", digits)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: coordinate(y, "N", "S", digits)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: meridian(x, _digits(east - west))))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: parallel(y, _digits(north - south))))
     axes.tick_params(labelsize=9)
     for spine in axes.spines.values():
         spine.set_visible(True)
@@ -113,6 +113,11 @@ def dress(axes: Axes, frame: Frame, *, bar_left: bool = True) -> None:
         path_effects=_HALO,
         zorder=9,
     )
+
+
+def _digits(width_deg: float) -> int:
+    """Decimals that tell six ticks apart."""
+    return max(0, math.ceil(-math.log10(width_deg / 6)))
 
 
 def _tracks(axes: Axes, outcome: Outcome) -> None:
@@ -224,10 +229,14 @@ def _aspect(frame: Frame) -> float:
 
 
 def hillshade(values: FloatArray, dx: float, dy: float) -> FloatArray:
-    """Light in 0..1 from the north-west, exaggerated so that any roughness shows."""
-    south_slope, east_slope = np.gradient(values, dy, dx)
-    rough = float(np.sqrt(np.mean(south_slope**2 + east_slope**2)))
-    exaggeration = 0.35 / rough if rough > 0 else 1.0
+    """Light in 0..1 from the north-west, exaggerated by the overall roughness, so that any shows.
+
+    The measure is the mean slope: a root mean square is that of the steepest part, and leaves lowlands beside mountains
+    and shelves beside a continental slope without relief; but of a mostly level picture it takes a fifth of that.
+    """
+    slope = np.hypot(*np.gradient(values, dy, dx))
+    rough = max(float(np.mean(slope)), 0.2 * float(np.sqrt(np.mean(slope**2))))
+    exaggeration = 0.3 / rough if rough > 0 else 1.0
     light: FloatArray = LightSource(315, 45).hillshade(values, vert_exag=exaggeration, dx=dx, dy=dy)
     return light
 

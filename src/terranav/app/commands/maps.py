@@ -17,6 +17,7 @@ Sigma = Annotated[float | None, typer.Option(metavar="S", help="1-sigma error, i
 Crs = Annotated[str | None, typer.Option(metavar="CRS", help="For a file that states none.")]
 Variable = Annotated[str | None, typer.Option(metavar="NAME", help="NetCDF variable or raster band.")]
 Unit = Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of the values, such as ft.")]
+PositiveDown = Annotated[bool, typer.Option("--positive-down", help="The file holds depths: negate them.")]
 Box = Annotated[
     str | None,
     typer.Option("--box", metavar="S,W,N,E", help="Only this part, in degrees; east below west crosses 180."),
@@ -37,18 +38,21 @@ def info(
     crs: Crs = None,
     variable: Variable = None,
     unit: Unit = None,
+    positive_down: PositiveDown = False,
     as_json: options.Json = False,
 ) -> int:
     """Say what a map covers, how fine and how rough it is, and what looks suspicious."""
     from terranav.app.console import OK, show_json, show_pairs
-    from terranav.app.listing import map_pairs
+    from terranav.app.mapping import map_words
     from terranav.io.rasters import open_map
 
-    facts = open_map(file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit).info()
+    facts = open_map(
+        file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit, positive_down=positive_down
+    ).info()
     if as_json:
         show_json(facts)
     else:
-        show_pairs(map_pairs(facts))
+        show_pairs(map_words(facts))
     return OK
 
 
@@ -65,22 +69,23 @@ def view(
     crs: Crs = None,
     variable: Variable = None,
     unit: Unit = None,
+    positive_down: PositiveDown = False,
     as_json: options.Json = False,
 ) -> int:
     """Draw a map: heights in colour, lit from the north-west."""
     from terranav.app.console import OK, show_json, show_pairs, working
-    from terranav.app.listing import map_pairs
-    from terranav.app.mapping import checked_picture, drawn, parsed_box
+    from terranav.app.mapping import checked_picture, drawn, map_words, parsed_box
     from terranav.io.rasters import open_map
 
     picture = checked_picture(file, out)
     with working(f"drawing {file.name}"):
-        chart = open_map(file, kind=kind, crs=crs, variable=variable, unit=unit, box=parsed_box(box))
+        part = parsed_box(box)
+        chart = open_map(file, kind=kind, crs=crs, variable=variable, unit=unit, positive_down=positive_down, box=part)
         written, note = drawn(chart, picture, page=page)
     if as_json:
         show_json({**chart.info(), "files": written, "note": note or None})
     else:
-        pairs = [pair for pair in map_pairs(chart.info()) if pair[0] in ("map", "grid", "extent", "values", "voids")]
+        pairs = [pair for pair in map_words(chart.info()) if pair[0] in ("map", "grid", "extent", "values", "voids")]
         show_pairs([*pairs, *([("note", note)] if note else []), ("written to", ", ".join(written))])
     return OK
 
@@ -97,24 +102,33 @@ def convert(
     crs: Crs = None,
     variable: Variable = None,
     unit: Unit = None,
+    positive_down: PositiveDown = False,
     as_json: options.Json = False,
 ) -> int:
     """Write a map, or a part of it, as GeoTIFF or NetCDF: the same values at the same places, in the kind's unit."""
     from terranav.app.console import OK, show_json, show_pairs, working
-    from terranav.app.listing import map_pairs
-    from terranav.app.mapping import parsed_box
+    from terranav.app.mapping import map_words, parsed_box
     from terranav.io.raster_out import check_target, write_map
     from terranav.io.rasters import open_map
 
     check_target(out, force=force)
     with working(f"converting {source.name}"):
         part = parsed_box(box)
-        chart = open_map(source, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit, box=part)
+        chart = open_map(
+            source,
+            kind=kind,
+            sigma=sigma,
+            crs=crs,
+            variable=variable,
+            unit=unit,
+            positive_down=positive_down,
+            box=part,
+        )
         write_map(chart, out, force=force)
     if as_json:
         show_json({**chart.info(), "file": str(out)})
     else:
-        show_pairs([*map_pairs(chart.info()), ("written to", str(out))])
+        show_pairs([*map_words(chart.info()), ("written to", str(out))])
     return OK
 
 
