@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -228,6 +230,56 @@ def test_a_full_disk(server: Server, tmp_path: Path) -> None:
     (tmp_path / "N47E009.hgt.part").symlink_to("/dev/full")
     with pytest.raises(DataError, match=r"cache cannot be written \(No space left on device\)"):
         fetched(server, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        ("mkdir", "cache"),
+        ("open", ".lock"),
+        ("write_text", ".part.from"),
+        ("open", ".hgt.part"),
+        ("write_text", ".sha256.part"),
+        ("replace", ".sha256.part"),
+        ("replace", ".hgt.part"),
+    ],
+)
+def test_a_disk_that_fills_up_anywhere_leaves_a_cache_that_works(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: tuple[str, str]
+) -> None:
+    server.files["/N47E009.hgt"] = BODY
+    method, suffix = where
+    works = getattr(Path, method)
+
+    def full(self: Path, *rest: Any, **more: Any) -> Any:
+        if self.name.endswith(suffix):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self))
+        return works(self, *rest, **more)
+
+    cache = tmp_path / "cache"
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, method, full)
+        with pytest.raises(DataError) as caught:
+            fetched(server, cache)
+    said = f"{cache}: the cache cannot be written (No space left on device), expected a folder with space"
+    assert str(caught.value) == said
+    assert not (cache / "N47E009.hgt").exists()
+    (one,) = fetched(server, cache)
+    assert one.state == "fetched"
+    assert (cache / "N47E009.hgt").read_bytes() == BODY
+    assert [again.state for again in fetched(server, cache)] == ["cached"]
+    assert not list(cache.glob("*.part*"))
+
+
+def test_what_was_fetched_before_a_refusal_is_kept(server: Server, tmp_path: Path) -> None:
+    names = ["N47E009.hgt", "N47E010.hgt", "N47E011.hgt"]
+    server.files |= {f"/{name}": BODY[: 1000 * (k + 1)] for k, name in enumerate(names)}
+    server.deeds["/N47E010.hgt"] = ["401"]
+    wide = (47.2, 9.1, 47.9, 11.5)
+    with pytest.raises(DataError, match=r"N47E010.hgt: the server refuses \(401"):
+        fetched(server, tmp_path, wide)
+    assert [one.state for one in fetched(server, tmp_path, wide)] == ["cached", "fetched", "fetched"]
+    assert [(tmp_path / name).stat().st_size for name in names] == [1000, 2000, 3000]
 
 
 def test_names_of_tiles() -> None:
