@@ -19,6 +19,7 @@ import terranav as tn
 from terranav.app.cli import main
 from terranav.app.mapping import map_words, meridian, parallel
 from terranav.app.mapview import map_page, map_picture, map_png, pack, relief, view_of
+from terranav.app.polar import Polar
 from terranav.app.trackmap import hillshade
 from terranav.io.raster_out import write_map
 from terranav.maps.map import Map
@@ -169,6 +170,64 @@ def test_longitudes_are_from_180_west_to_180_east() -> None:
     labels = [text.get_text() for text in picture.axes[0].get_xticklabels()]
     assert {text[-1] for text in labels} == {"E", "W", "°"}
     assert not any(float(text.rstrip("°EW ")) > 180.0 for text in labels)
+
+
+@pytest.mark.parametrize(("pole", "turn"), [(90.0, 0.0), (-90.0, 0.0), (90.0, -45.0), (-90.0, 170.0)])
+def test_the_plane_around_a_pole(pole: float, turn: float) -> None:
+    polar = Polar(pole, turn)
+    rng = np.random.default_rng(8)
+    lat, lon = polar.sign * rng.uniform(60.0, 90.0, 200), rng.uniform(-180.0, 180.0, 200)
+    x, y = polar.plane(lat, lon)
+    back = polar.earth(x, y)
+    np.testing.assert_allclose(back[0], lat, atol=1e-9)
+    np.testing.assert_allclose((back[1] - lon + 180.0) % 360.0 - 180.0, 0.0, atol=1e-6)
+    x, y = polar.plane(0.5 * pole, [turn, turn + 90.0])
+    np.testing.assert_allclose(x, [0.0, 45.0], atol=1e-9)  # east is to the right along the longitude it is turned to
+    np.testing.assert_allclose(y, [-45.0 * polar.sign, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("transform", "crs", "turn"),
+    [
+        ((1000.0, 0.0, -3e4, 0.0, -1000.0, 2e4), "EPSG:3413", -45.0),  # the pole within
+        ((1000.0, 0.0, -3e4, 0.0, -1000.0, 2e4), "EPSG:3031", 0.0),
+        ((1000.0, 0.0, -3e4, 0.0, -1000.0, -1e4), "EPSG:3413", -45.0),  # beside it
+        ((6.0, 0.0, -180.0, 0.0, -0.5, 90.0), "EPSG:4326", 0.0),  # all meridians, 70 to 90 N
+    ],
+)
+def test_a_map_at_a_pole_is_drawn_around_it(
+    transform: tuple[float, float, float, float, float, float], crs: str, turn: float
+) -> None:
+    chart = Map(HEIGHTS, transform, crs)
+    view = view_of(chart)
+    assert view.polar is not None
+    assert view.polar.turn_deg == pytest.approx(turn, abs=1.0)
+    assert "plane around the pole" in view.note
+    low, left, high, right = view.box
+    rows, cols = view.values.shape
+    x, y = left + (7 + 0.5) * (right - left) / cols, high - (11 + 0.5) * (high - low) / rows
+    np.testing.assert_allclose(view.values[11, 7], chart.sample(*view.polar.earth(x, y)))
+    assert np.isfinite(view.values).mean() > 0.7
+    names = {text.get_text() for text in map_picture(chart, view).axes[0].texts}
+    assert any(re.fullmatch(r"\d+(\.\d+)?° [NS]", name) for name in names)
+    assert any(re.fullmatch(r"\d+° [EW]|0°|180°", name) for name in names)
+    assert any(name.endswith("km") for name in names)
+    _, data = decoded(map_page(chart, view))
+    assert (data["pole"], data["turn"]) == (view.polar.sign, view.polar.turn_deg)
+
+
+@pytest.mark.parametrize(
+    ("transform", "crs"),
+    [
+        ((2.0, 0.0, -180.0, 0.0, -2.0, 80.0), "EPSG:4326"),  # most of the Earth
+        ((0.01, 0.0, 20.0, 0.0, -0.01, 80.0), "EPSG:4326"),  # narrow, far north
+        ((1000.0, 0.0, 3e5, 0.0, -1000.0, -2.5e6), "EPSG:3413"),  # Greenland's south
+    ],
+)
+def test_other_maps_are_drawn_on_latitude_and_longitude(
+    transform: tuple[float, float, float, float, float, float], crs: str
+) -> None:
+    assert view_of(Map(HEIGHTS, transform, crs)).polar is None
 
 
 def test_lowlands_beside_mountains_show_their_relief() -> None:

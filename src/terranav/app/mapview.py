@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from numpy.typing import NDArray
 
+from terranav.app.polar import Polar, dress_polar, hull, polar_plane
 from terranav.app.style import new_figure, png, styled
 from terranav.app.trackmap import dress, hillshade
 from terranav.app.words import distance
@@ -43,13 +44,15 @@ class View:
     values : (rows, cols) [the map's unit]
         From the north-west corner; NaN where void or off the map.
     box : (south, west, north, east) [deg]
-        Of the outer sides of the samples.
+        Of the outer sides of the samples; low, left, high, right on the plane of `polar` where there is one.
     low, high : float
         What the ends of the colours stand for.
     thinned : bool
         There are fewer samples than cells.
     exact : bool
         Every sample is the value of a cell.
+    polar : Polar or None
+        What the rows and columns are steps of, where not latitude and longitude.
     """
 
     values: FloatArray
@@ -58,6 +61,16 @@ class View:
     high: float
     thinned: bool
     exact: bool
+    polar: Polar | None = None
+
+    @property
+    def metres(self) -> tuple[float, float]:
+        """Metres in a degree of the box, up and across."""
+        if self.polar is not None:
+            along = self.polar.metres_per_degree(self.box)
+            return along, along
+        up, across = metres_per_degree(0.5 * (self.box[0] + self.box[2]))
+        return float(up), float(across)
 
     @property
     def note(self) -> str:
@@ -65,7 +78,8 @@ class View:
         rows, cols = self.values.shape
         if self.thinned:
             return f"thinned to {rows} x {cols} samples: narrow features and single voids may be missing"
-        return "" if self.exact else f"resampled to latitude and longitude, {rows} x {cols} samples"
+        onto = "latitude and longitude" if self.polar is None else "a plane around the pole"
+        return "" if self.exact else f"resampled to {onto}, {rows} x {cols} samples"
 
 
 def view_of(chart: Map, longest: int = LONGEST) -> View:
@@ -81,25 +95,40 @@ def view_of(chart: Map, longest: int = LONGEST) -> View:
         raise DataError(
             f"{chart.name}: latitudes from {south:g} to {north:g} in {chart.crs}, expected -90 to 90 or another --crs"
         )
+    polar = polar_plane(chart)
+    if polar is not None:
+        return _polar_view(chart, polar, longest)
     rows, cols = (min(size, longest) for size in chart.shape)
     lat, lon = np.linspace(north, south, rows), np.linspace(west, east, cols)
     at_row, at_col = chart.cells(lat[:, None], lon[None, :])
     at = np.stack([at_row, at_col])
     exact = bool(np.isfinite(at).all() and np.abs(at - np.round(at)).max() < 1e-4)
     values = chart.sample(lat[:, None], lon[None, :])
+    low, high = _range(values, chart)
     half_lat, half_lon = 0.5 * (north - south) / (rows - 1), 0.5 * (east - west) / (cols - 1)
-    known = (
-        values[np.isfinite(values)] if np.isfinite(values).any() else np.asarray(chart.values[~np.isnan(chart.values)])
-    )
+    box = south - half_lat, west - half_lon, north + half_lat, east + half_lon
+    return View(values, box, low, high, thinned=(rows, cols) != chart.shape, exact=exact)
+
+
+def _polar_view(chart: Map, polar: Polar, longest: int) -> View:
+    """A map near a pole on the plane around it, in steps of a cell or more."""
+    low, left, high, right = box = hull(chart, polar)
+    least = chart.cell_m / polar.metres_per_degree(box)
+    step = max(least, max(right - left, high - low) / longest)
+    rows, cols = (max(round(side / step), 2) for side in (high - low, right - left))
+    y = high - (np.arange(rows) + 0.5) * (high - low) / rows
+    x = left + (np.arange(cols) + 0.5) * (right - left) / cols
+    values = chart.sample(*polar.earth(x[None, :], y[:, None]))
+    return View(values, box, *_range(values, chart), thinned=step > 1.2 * least, exact=False, polar=polar)
+
+
+def _range(values: FloatArray, chart: Map) -> tuple[float, float]:
+    """What the ends of the colours stand for."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        known = np.asarray(chart.values[~np.isnan(chart.values)])
     low, high = (float(value) for value in np.percentile(known, [0.5, 99.5]))
-    return View(
-        values=values,
-        box=(south - half_lat, west - half_lon, north + half_lat, east + half_lon),
-        low=low,
-        high=high if high > low else low + 1.0,
-        thinned=(rows, cols) != chart.shape,
-        exact=exact,
-    )
+    return low, high if high > low else low + 1.0
 
 
 def ramp(kind: str) -> Colormap:
@@ -113,7 +142,7 @@ def relief(view: View, kind: str) -> FloatArray:
     rows, cols = view.values.shape
     known = np.isfinite(view.values)
     filled = _filled(view.values, known)
-    per_lat, per_lon = (float(value) for value in metres_per_degree(0.5 * (south + north)))
+    per_lat, per_lon = view.metres
     light = hillshade(filled, (east - west) / cols * per_lon, (north - south) / rows * per_lat)
     scaled = np.clip((filled - view.low) / (view.high - view.low), 0.0, 1.0)
     picture = np.empty((rows, cols, 4))
@@ -126,7 +155,7 @@ def map_picture(chart: Map, view: View) -> Figure:
     """The relief with degrees along its sides, scale bar, north, colour bar and marked voids."""
     south, west, north, east = view.box
     with styled():
-        per_lat, per_lon = (float(value) for value in metres_per_degree(0.5 * (south + north)))
+        per_lat, per_lon = view.metres
         tall = (north - south) * per_lat / ((east - west) * per_lon)
         width = float(np.clip(7.5 / max(tall, 1e-9), 4.5, 7.5))
         figure = new_figure(float(np.clip(width * tall, 1.5, 9.0)) + 1.6, width + 2.4)
@@ -136,7 +165,10 @@ def map_picture(chart: Map, view: View) -> Figure:
         picture = relief(view, chart.kind)
         axes.imshow(picture, extent=(west, east, south, north), origin="upper", aspect="auto", interpolation="nearest")
         axes.set(xlim=(west, east), ylim=(south, north))
-        dress(axes, view.box)
+        if view.polar is None:
+            dress(axes, view.box)
+        else:
+            dress_polar(axes, view.box, view.polar)
         axes.set_title(_title(chart).replace(": ", "\n", 1), fontsize=10)
         scale = ScalarMappable(Normalize(view.low, view.high), ramp(chart.kind))
         bar = figure.colorbar(scale, ax=axes, extend="both", aspect=30, pad=0.02)
@@ -169,6 +201,9 @@ def map_page(chart: Map, view: View) -> str:
         "base": base,
         "step": step,
         "unit": chart.unit,
+        "metres": view.metres,
+        "pole": None if view.polar is None else view.polar.sign,
+        "turn": 0.0 if view.polar is None else view.polar.turn_deg,
         "heights": base64.b64encode(packed).decode(),
     }
     return environment.from_string(template).render(

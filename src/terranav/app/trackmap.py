@@ -31,7 +31,7 @@ _SEA = ["#9fbcd0", "#b4cddc", "#c9dde7", "#dfebf0"]
 _FIELD = ["#a9c3dc", "#dfe7ee", "#f4f2ee", "#f0dccf", "#dfa98f"]
 _COLOURS = {"terrain": _LAND, "bathymetry": _SEA}
 _LONG_SIDE = 640  # samples of the background along its longer side
-_HALO = [patheffects.withStroke(linewidth=4.0, foreground="white", alpha=0.85)]
+HALO = [patheffects.withStroke(linewidth=4.0, foreground="white", alpha=0.85)]
 
 
 def track_map(outcome: Outcome) -> Figure:
@@ -91,16 +91,7 @@ def dress(axes: Axes, frame: Frame, *, bar_left: bool = True) -> None:
     axes.tick_params(labelsize=9)
     for spine in axes.spines.values():
         spine.set_visible(True)
-    length = nice_length((east - west) * per_lon / 4)
-    x0, y0 = west + 0.03 * (east - west), south + 0.035 * (north - south)
-    if not bar_left:
-        x0 = east - 0.03 * (east - west) - length / per_lon
-    x1 = x0 + length / per_lon
-    axes.plot([x0, x1], [y0, y0], color="#222222", linewidth=3.5, path_effects=_HALO, solid_capstyle="butt", zorder=9)
-    text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
-    axes.annotate(
-        text, (0.5 * (x0 + x1), y0), (0, 5), textcoords="offset points", ha="center", path_effects=_HALO, zorder=9
-    )
+    scale_bar(axes, frame, per_lon, at_left=bar_left)
     axes.annotate(
         "N",
         (0.972, 0.965),
@@ -110,8 +101,23 @@ def dress(axes: Axes, frame: Frame, *, bar_left: bool = True) -> None:
         va="center",
         fontweight="bold",
         arrowprops={"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.6},
-        path_effects=_HALO,
+        path_effects=HALO,
         zorder=9,
+    )
+
+
+def scale_bar(axes: Axes, frame: Frame, per_unit: float, *, at_left: bool = True) -> None:
+    """A bar of a round length at the lower left or right; `per_unit` is the metres in a unit of the axis across."""
+    south, west, north, east = frame
+    length = nice_length((east - west) * per_unit / 4)
+    x0, y0 = west + 0.03 * (east - west), south + 0.035 * (north - south)
+    if not at_left:
+        x0 = east - 0.03 * (east - west) - length / per_unit
+    x1 = x0 + length / per_unit
+    axes.plot([x0, x1], [y0, y0], color="#222222", linewidth=3.5, path_effects=HALO, solid_capstyle="butt", zorder=9)
+    text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
+    axes.annotate(
+        text, (0.5 * (x0 + x1), y0), (0, 5), textcoords="offset points", ha="center", path_effects=HALO, zorder=9
     )
 
 
@@ -125,10 +131,10 @@ def _tracks(axes: Axes, outcome: Outcome) -> None:
     rec, shades = outcome.recording, colours(outcome)
     if rec.has_truth:
         lat, lon = rec.columns["true_lat_deg"], rec.columns["true_lon_deg"]
-        axes.plot(lon, lat, color=TRUTH, linewidth=4.0, path_effects=_HALO, zorder=4, label="true track")
+        axes.plot(lon, lat, color=TRUTH, linewidth=4.0, path_effects=HALO, zorder=4, label="true track")
     dashes = (0, (5, 2))
     axes.plot(
-        rec.lon_deg, rec.lat_deg, color=INS, linewidth=1.8, linestyle=dashes, path_effects=_HALO, label="INS alone"
+        rec.lon_deg, rec.lat_deg, color=INS, linewidth=1.8, linestyle=dashes, path_effects=HALO, label="INS alone"
     )
     names = [name for name in outcome.results if name not in (BASELINE, outcome.main)] + [outcome.main]
     for name in names:
@@ -159,7 +165,7 @@ def _ends(axes: Axes, outcome: Outcome) -> None:
         lat, lon = rec.columns["true_lat_deg"], rec.columns["true_lon_deg"]
     axes.plot(lon[0], lat[0], "o", color="white", markeredgecolor=TRUTH, markeredgewidth=2, markersize=8, zorder=8)
     axes.annotate(
-        "start", (lon[0], lat[0]), (8, 8), textcoords="offset points", fontsize=9.5, path_effects=_HALO, zorder=8
+        "start", (lon[0], lat[0]), (8, 8), textcoords="offset points", fontsize=9.5, path_effects=HALO, zorder=8
     )
     off = outcome.final_ins_error_m
     if np.isfinite(off):
@@ -177,7 +183,7 @@ def _ends(axes: Axes, outcome: Outcome) -> None:
             color=INS,
             fontweight="bold",
             fontsize=9.5,
-            path_effects=_HALO,
+            path_effects=HALO,
             zorder=8,
         )
 
