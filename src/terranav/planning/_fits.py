@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from terranav.kernels import sampling
+from terranav.kernels import placing, sampling
 from terranav.maps.frame import LocalFrame
-from terranav.planning._placements import Search, relative
+from terranav.planning._placements import TOP, Search, relative
 
 FloatArray = NDArray[np.float64]
 
 APART_CELLS = 2.5  # places nearer than this are one
 APART_ENDS = 2.0  # times that, by which a turn or a stretch may move the ends of one place
 ROUNDS = 25  # of a fit
+LOWERING = 10  # rounds of a descent from each of all cells and headings that were kept
 
 
 @dataclass(frozen=True)
@@ -37,21 +38,81 @@ class Fit:
     spread: FloatArray | None = None
 
 
-def fitted(work: Search, weight: FloatArray, kept: FloatArray, margin: float, most: int) -> tuple[list[Fit], int]:
-    """The distinct places among what was kept, each at its least misfit, the best first; and how many were left."""
-    fits: list[Fit] = []
-    left = kept[np.argsort(kept[:, 4], kind="stable")]
-    for _ in range(most):
-        if not len(left):
+def fitted(
+    work: Search, weight: FloatArray, kept: FloatArray, margin: float, most: int
+) -> tuple[list[Fit], list[FloatArray], FloatArray]:
+    """The distinct places among what was kept, each at its least misfit, the best first.
+
+    Parameters
+    ----------
+    kept : (n, 5), as `searched` gives it
+    margin : float
+        Places with a misfit so far above the best are left out.
+    most : int
+        Places.
+
+    Returns
+    -------
+    fits : list of Fit
+    leaves : list of (n, 5)
+        What was kept of each.
+    left : (n, 5)
+        What was kept and leads to a place that is not among them, with the misfit there.
+    """
+    left, low, misfit = _lowered(work, weight, kept)
+    found: list[tuple[Fit, FloatArray]] = []
+    while len(left) and len(found) < most:
+        if found and misfit[0] > found[0][0].misfit + margin:
             break
-        fit = _descended(work, weight, left[0, :4])
-        near = same_place(work, left, left[0]) | same_place(work, left, fit.at)
+        fit = _descended(work, weight, low[0])
+        near = same_place(work, left, fit.at) | same_place(work, low, fit.at)
         near[0] = True
-        if not any(same_place(work, one.at[None], fit.at)[0] for one in fits):
-            fits.append(replace(fit, volume=min(fit.volume, float(near.sum()) * work.leaf)))
-        left = left[~near]
-    fits.sort(key=lambda one: one.misfit)
-    return [one for one in fits if one.misfit <= fits[0].misfit + margin], len(left)
+        if all(not same_place(work, one.at[None], fit.at)[0] for one, _ in found):
+            found.append((fit, left[near]))
+        else:
+            k = next(k for k, (one, _) in enumerate(found) if same_place(work, one.at[None], fit.at)[0])
+            found[k] = min(found[k][0], fit, key=lambda one: one.misfit), np.concatenate([found[k][1], left[near]])
+        left, low, misfit = left[~near], low[~near], misfit[~near]
+    found.sort(key=lambda one: one[0].misfit)
+    limit = found[0][0].misfit + margin if found else math.inf
+    rest = np.column_stack([left[:, :4], misfit])[misfit <= limit]
+    found = [one for one in found if one[0].misfit <= limit]
+    return [fit for fit, _ in found], [leaves for _, leaves in found], rest
+
+
+def _lowered(work: Search, weight: FloatArray, kept: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What was kept, its placements at about their least misfit nearby (n, 4), and that misfit, the best first."""
+    low, misfit = kept[:, :4].copy(), kept[:, 4].copy()
+    for k in np.flatnonzero(np.isinf(misfit)):  # the middle is off the map, the rest of the cell is not
+        low[k] = _moved_in(work, low[k])
+    side, cols = 2**TOP, work.values.shape[1]
+    data = (work.height, weight, work.offset_weight, work.void_cost)
+    ranges, free = np.array([work.half, work.stretch]), free_of(work)
+    part = (kept[:, 0] // side) * (cols // (4 * side) + 1) + kept[:, 1] // (4 * side)
+    for number in np.unique(part):
+        chosen = np.flatnonzero(part == number)
+        frame = work.frame(*(float(one) for one in low[chosen, :2].mean(axis=0)))
+        here, there = low[chosen], np.empty(chosen.size)
+        placing.descend(
+            work.values, here, work.points, np.array([frame.row, frame.col]), data, ranges, free, LOWERING, there
+        )
+        low[chosen], misfit[chosen] = here, there
+    order = np.argsort(misfit, kind="stable")
+    return kept[order], low[order], misfit[order]
+
+
+def _moved_in(work: Search, at: FloatArray) -> FloatArray:
+    """A placement moved so that the whole track lies on the map."""
+    frame = work.frame(float(at[0]), float(at[1]))
+    moved = at.copy()
+    for axis, ends in enumerate(relative(frame, *work.turned(float(at[2]), float(at[3])))):
+        moved[axis] = min(max(at[axis], -ends.min()), work.values.shape[axis] - 1.0 - ends.max())
+    return moved
+
+
+def free_of(work: Search) -> NDArray[np.int64]:
+    """Numbers of the parameters that are not known."""
+    return np.flatnonzero([True, True, work.half > 0.0, work.stretch > 0.0])
 
 
 def same_place(work: Search, several: FloatArray, one: FloatArray) -> NDArray[np.bool_]:
@@ -69,7 +130,7 @@ def same_place(work: Search, several: FloatArray, one: FloatArray) -> NDArray[np
 def _descended(work: Search, weight: FloatArray, start: FloatArray) -> Fit:
     """Levenberg-Marquardt over row, column, heading and factor, the offset eliminated."""
     frame = work.frame(float(start[0]), float(start[1]))
-    free = np.array([True, True, work.half > 0.0, work.stretch > 0.0])
+    free = free_of(work)
     best, damping = _placed(work, weight, frame, start), 1e-3
     normal, right = _normal(work, weight, frame, best)
     for _ in range(ROUNDS):
@@ -97,7 +158,7 @@ def _held(work: Search, at: FloatArray) -> FloatArray:
     return np.array([at[0], at[1], psi, min(max(float(at[3]), 1.0 - work.stretch), 1.0 + work.stretch)])
 
 
-def _spread(work: Search, normal: FloatArray, free: NDArray[np.bool_], best: Fit) -> Fit:
+def _spread(work: Search, normal: FloatArray, free: NDArray[np.int64], best: Fit) -> Fit:
     """The fit with its covariance (4, 4) and volume; a heading or scale is known to its range at the least."""
     known = normal + np.diag([1e-9, 1e-9, *(3.0 / one**2 if one > 0.0 else 0.0 for one in (work.half, work.stretch))])
     inner = known[np.ix_(free, free)]

@@ -45,6 +45,7 @@ class Search:
     shapes: IntArray  # (levels, 2) where each level's begin, and how many
     mids: FloatArray  # (shapes, 2) heading [rad] and factor
     halves: FloatArray  # (shapes, 2) of the heading [rad], and of the factor against its own
+    parts: tuple[int, int]  # finest intervals of heading and scale
     kept: dict[Region, Any] = field(default_factory=dict)  # shapes of regions, for the next search
     counts: IntArray = field(default_factory=lambda: np.zeros(3, dtype=np.int64))
 
@@ -56,8 +57,12 @@ class Search:
     @property
     def leaf(self) -> float:
         """Volume of a finest heading and scale, what is known not counting [rad]."""
-        ranges = [2.0 * one for one in (self.half, self.stretch) if one > 0.0]
-        return math.prod(ranges) / float(self.shapes[0, 1])
+        return self.whole / float(self.shapes[0, 1])
+
+    @property
+    def whole(self) -> float:
+        """Volume of all headings and scales, what is known not counting [rad]."""
+        return math.prod(2.0 * one for one in (self.half, self.stretch) if one > 0.0)
 
     @property
     def reach_m(self) -> float:
@@ -83,7 +88,17 @@ def lat_lon(chart: Map, row: float, col: float) -> tuple[float, float]:
     return float(lat[0]), (float(lon[0]) + 180.0) % 360.0 - 180.0
 
 
-def shapes_of(half: float, stretch: float, reach_cells: float) -> tuple[IntArray, FloatArray, FloatArray]:
+@dataclass(frozen=True)
+class Shapes:
+    """Headings and factors of each level, as in `Search`."""
+
+    begins: IntArray
+    mids: FloatArray
+    halves: FloatArray
+    parts: tuple[int, int]
+
+
+def shapes_of(half: float, stretch: float, reach_cells: float) -> Shapes:
     """Headings and factors of each level, the finest first: where they begin, their middles and half intervals.
 
     Each shape of a level is divided into as many of the next finer one, which stand one after the other there.
@@ -103,7 +118,8 @@ def shapes_of(half: float, stretch: float, reach_cells: float) -> tuple[IntArray
     mids = np.concatenate(finest_first)
     halves = np.repeat(whole / counts, sizes, axis=0)
     halves[:, 1] /= mids[:, 1]
-    return np.column_stack([np.cumsum(sizes) - sizes, sizes]), mids, halves
+    begins = np.column_stack([np.cumsum(sizes) - sizes, sizes])
+    return Shapes(begins, mids, halves, (int(counts[0, 0]), int(counts[0, 1])))
 
 
 def _parts(sweep_cells: float, level: int) -> int:

@@ -6,7 +6,7 @@ an unknown height offset. Blocks of placements are left out when a lower bound o
 by a margin (`kernels.locating`), from blocks of 64 cells down to one cell, and a heading and scale step that each move
 the track's ends by a quarter of a cell. The bound holds for every position between the cells and every heading and
 scale between the steps, so nothing better than the margin is skipped. What remains is fitted below the cell by least
-squares, and weighed by its likelihood times its volume (Laplace).
+squares, and weighed by the integral of its likelihood over all that was kept of it (`planning._weigh`).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from terranav.maps.map import Map
 from terranav.planning._fits import Fit, cov_at_end, fitted
 from terranav.planning._placements import Search, lat_lon, searched, shapes_of, tables_of
 from terranav.planning._track import Track, spread_order, thinned
+from terranav.planning._weigh import weighed
 
 __all__ = ["LocateSettings", "Located", "Place", "Track", "locate"]
 
@@ -33,6 +34,8 @@ FloatArray = NDArray[np.float64]
 
 FIRST_FITS, MOST_FITS = 8, 60  # places fitted below the cell: for a first limit, and at last
 PARTS = (0.3, 0.6)  # of the misfit that is usual at most, tried first: a low limit is soon searched
+LEAST_VOLUME = 1e-5  # of a cell, heading and scale that a place is taken to fill until that is known
+WEIGHED = 30.0  # misfit above the best up to which a place is weighed by integration
 MOST_SIGMA_CELLS = 0.75  # of a place that counts as known: within two cells at 99 %
 NOISES = (1.0, 3.0, 10.0, 30.0, 100.0)  # by which the variances grow until some place fits
 BELIEVED_NOISE = 3.0  # beyond which the profile is taken to lie on no place of the map
@@ -104,7 +107,7 @@ class Place:
     cov_m2 : (2, 2) float64
         Covariance of the last point, north and east [m^2].
     probability : float
-        Among the candidates; see `Located.complete` and `tail` for what may lie outside them.
+        Among all that was kept; see `Located.complete` and `tail` for what may lie outside it.
     """
 
     lat_deg: float
@@ -213,25 +216,32 @@ def locate(track: Track, chart: Map, settings: LocateSettings | None = None) -> 
     """
     settings = settings or LocateSettings()
     work = _prepared(track, chart, settings)
-    margin, usual = _margin(work, settings.tail), float(chi2.ppf(0.9999, work.height.size))
-    most, fits, left, complete, noise = settings.most_places, list[Fit](), 0, False, 1.0
+    usual = float(chi2.ppf(0.9999, work.height.size))
+    most, complete, noise, margin = settings.most_places, False, 1.0, _margin(work, settings.tail, 0.0)
+    fits, leaves, left = list[Fit](), list[FloatArray](), np.empty((0, 5))
     for noise, part in [(1.0, part) for part in PARTS] + [(noise, 1.0) for noise in NOISES]:
         weight = work.weight / noise  # first some place that fits, then all that are within the margin of it
         kept, _, complete = searched(work, weight, part * usual, 0.0, most)
-        fits, left = fitted(work, weight, kept, margin, FIRST_FITS)
+        fits, leaves, left = fitted(work, weight, kept, margin, FIRST_FITS)
         if fits and fits[0].misfit <= usual:
+            margin = _margin(work, 0.5 * settings.tail, weighed(work, weight, fits[0], leaves[0]).volume)
             kept, limit, complete = searched(work, weight, fits[0].misfit + margin, margin, most)
-            fits, left = fitted(work, weight, kept, margin, MOST_FITS)
+            fits, leaves, left = fitted(work, weight, kept, margin, MOST_FITS)
             margin = max(limit - fits[0].misfit, 0.0)
             break
         if not complete:
             break
+    fits = [
+        weighed(work, work.weight / noise, fit, cells) if fit.misfit <= fits[0].misfit + WEIGHED else fit
+        for fit, cells in zip(fits, leaves, strict=True)
+    ]
     return _judged(work, fits, settings, (margin, noise, complete, left))
 
 
-def _margin(work: Search, tail: float) -> float:
-    """Misfit above the best that leaves at most a share `tail` outside, the best place filling 1e-5 of its leaf."""
-    return 2.0 * math.log(work.values.size * 1e5 / tail)
+def _margin(work: Search, tail: float, volume: float) -> float:
+    """Misfit above the best that leaves at most a share `tail` outside, the best place having a volume."""
+    least = LEAST_VOLUME * work.leaf
+    return 2.0 * math.log(work.values.size * work.whole / (tail * max(volume, least)))
 
 
 def _prepared(track: Track, chart: Map, settings: LocateSettings) -> Search:
@@ -254,24 +264,30 @@ def _prepared(track: Track, chart: Map, settings: LocateSettings) -> Search:
     if reach > math.hypot(*values.shape):
         raise DataError(f"the track reaches {2 * reach:.0f} cells, expected less than the map {chart.name} is wide")
     half = math.radians(settings.heading_deg)
-    shapes, mids, halves = shapes_of(half, settings.scale, reach)
+    told = shapes_of(half, settings.scale, reach)
     lows, highs, spans = tables_of(values)
     return Search(
         chart, values, points, along[order], height[order], np.full(order.size, 1.0 / variance),
         settings.offset_sigma**-2.0, 1.0 + math.log1p(float(np.nanvar(values.astype(np.float64))) / variance),
-        half, settings.scale, lows, highs, spans, shapes, mids, halves,
+        half, settings.scale, lows, highs, spans, told.begins, told.mids, told.halves, told.parts,
     )  # fmt: skip
 
 
-def _judged(work: Search, fits: list[Fit], settings: LocateSettings, found: tuple[float, float, bool, int]) -> Located:
+def _judged(
+    work: Search, fits: list[Fit], settings: LocateSettings, found: tuple[float, float, bool, FloatArray]
+) -> Located:
     """Probabilities, and whether they allow an answer."""
     margin, noise, complete, left = found
     mass = np.array([math.exp(-0.5 * (fit.misfit - fits[0].misfit)) * fit.volume for fit in fits])
-    share = mass / mass.sum() if len(fits) else mass
+    rest = float(np.exp(-0.5 * (left[:, 4] - fits[0].misfit)).sum()) * work.leaf if fits else 0.0
+    share = mass / (mass.sum() + rest) if len(fits) else mass
     places = tuple(_place(work, fits[k], float(share[k])) for k in np.argsort(-share, kind="stable"))
-    whole = work.values.size * work.leaf * float(work.shapes[0, 1])
-    tail = whole * math.exp(-0.5 * margin) / max(float(mass.sum()), 1e-300) if fits and complete else 1.0
-    reasons = _doubts(work, places, settings, (noise, complete, left))
+    tail = (
+        work.values.size * work.whole * math.exp(-0.5 * margin) / max(float(mass.sum()), 1e-300)
+        if fits and complete
+        else 1.0
+    )
+    reasons = _doubts(work, places, settings, (noise, complete, len(left)))
     return Located(
         places, bool(reasons), reasons, complete, margin, min(tail, 1.0), noise,
         int(work.counts[1]), int(work.counts[2]), float(work.counts[2]) / work.lookups_of_all,
