@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terranav.core.earth import metres_per_degree
 from terranav.core.errors import DataError
 from terranav.core.recording import (
     ATTITUDE,
@@ -27,7 +28,7 @@ from terranav.core.recording import (
     FloatArray,
     Recording,
 )
-from terranav.io.logs.clocks import one_run
+from terranav.io.logs.clocks import median_around, one_run
 from terranav.io.logs.facts import facts_of, remarks_of
 from terranav.io.logs.found import NO_HEIGHT, POSITION, SEA_LEVEL, Found, Series
 
@@ -37,6 +38,8 @@ SETTING_S = 5.0
 GAP_S = 1.0
 #: how far beyond its ends a series is drawn out, in steps
 _REACH = 0.5001
+#: a position further than this from the median of its neighbours, and than the fastest could be, is damage
+_STRAY_M, _FASTEST_MPS = 500.0, 400.0
 _READINGS = {"laser": "laser_altitude_m", "radar": "radar_altitude_m"}
 _TURNS = {"lon_deg": 360.0, "roll_deg": 360.0, "heading_deg": 360.0}
 
@@ -67,6 +70,11 @@ def assembled(found: Found, rate_hz: float) -> Log:
     for role in ("own", "gnss"):
         if role in by_role:
             by_role[role] = by_role[role].rows(_placed(by_role[role]))
+            near = _near(by_role[role])
+            if not near.all():
+                lost = np.count_nonzero(~near)
+                clock.append(f"{by_role[role].source}: {lost} positions far from those around them were left out")
+            by_role[role] = by_role[role].rows(near)
     base = next((by_role[role] for role in ("own", "gnss") if role in by_role and len(by_role[role])), None)
     if base is None:
         there = ", ".join(part.source for part in found.series) or "nothing that a recording needs"
@@ -103,6 +111,16 @@ def _placed(part: Series) -> NDArray[np.bool_]:
         low, high = LIMITS[key]
         good &= (part.values[key] >= low) & (part.values[key] <= high)
     return np.asarray(good)
+
+
+def _near(part: Series) -> NDArray[np.bool_]:
+    """(n,) whether a position is where the median of its neighbours lets a vehicle be: a damaged row seldom is."""
+    reach_s = step_of(part.time_s) * 6
+    lat, alt = part.values["lat_deg"], part.values["alt_m"]
+    lon = np.unwrap(part.values["lon_deg"], period=360.0)
+    away = [np.abs(values - median_around(values)) for values in (lat, lon, alt)]
+    horizontal = np.hypot(away[0], away[1] * np.cos(np.radians(lat))) * metres_per_degree(0.0)[1]
+    return np.asarray((horizontal < _STRAY_M + _FASTEST_MPS * reach_s) & (away[2] < _STRAY_M + _FASTEST_MPS * reach_s))
 
 
 def _thinned(time_s: FloatArray, rate_hz: float) -> NDArray[np.int64]:

@@ -86,13 +86,20 @@ def _without_wild(parts: Sequence[Series]) -> tuple[list[Series], list[str]]:
 
 def _wild(time: FloatArray) -> NDArray[np.bool_]:
     """(n,) whether a stamp is far from the median of its neighbours in the file."""
-    if time.size < _NEIGHBOURS:
-        return np.zeros(time.size, dtype=bool)
+    return np.asarray(np.abs(time - median_around(time)) > WILD_S)
+
+
+def median_around(values: FloatArray) -> FloatArray:
+    """(n,) the median of each value and its three neighbours on either side; the values themselves where n < 7.
+
+    Beyond the ends the values are mirrored in the point of the end, so that a steady slope stays one.
+    """
     half = _NEIGHBOURS // 2
-    before, after = 2 * time[0] - time[half:0:-1], 2 * time[-1] - time[-2 : -2 - half : -1]
-    padded = np.concatenate([before, time, after])
-    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS), axis=1)
-    return np.asarray(np.abs(time - median) > WILD_S)
+    if values.size < _NEIGHBOURS:
+        return values
+    before, after = 2 * values[0] - values[half:0:-1], 2 * values[-1] - values[-2 : -2 - half : -1]
+    padded = np.concatenate([before, values, after])
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS), axis=1))
 
 
 def _runs(time: FloatArray) -> NDArray[np.int64]:

@@ -72,13 +72,15 @@ def read(path: Path) -> Found:
 
 
 def _damage(rows: Rows) -> tuple[list[str], bool]:
-    """What is to be said of damage, and whether the log is whole; a few bytes at the end belong to a last page."""
+    """What is to be said of damage, and whether the log is whole."""
     remarks = []
     if rows.damaged:
         remarks.append(f"the file is damaged: {rows.damaged} bytes between messages that are whole were left out")
     if rows.unread > 0:
         remarks.append(f"the file is cut: its last {rows.unread} bytes hold no whole message and were not read")
-    return remarks, rows.damaged == 0 and rows.unread < 1024
+    if rows.zeros:
+        remarks.append(f"the last {rows.zeros} bytes of the file are zero and were not read")
+    return remarks, not (rows.damaged or rows.unread)
 
 
 def _clock(table: Table) -> FloatArray | None:

@@ -40,6 +40,8 @@ class Rows:
         How many messages of each name there are, of all.
     damaged : int
         Bytes that belong to no message.
+    zeros : int
+        Zero bytes at the end: a file that was given its size beforehand.
     unread : int
         Bytes at the end that were not read: the file is cut there, or holds nothing that could be a message.
     """
@@ -49,6 +51,7 @@ class Rows:
     counts: dict[str, int] = field(default_factory=dict)
     texts: list[str] = field(default_factory=list)
     damaged: int = 0
+    zeros: int = 0
     unread: int = 0
 
 
@@ -66,7 +69,7 @@ def read_rows(path: Path, wanted: Collection[str]) -> Rows:
     with mapped(path) as (data, zeros):
         rows = Rows()
         formats, offsets = _walk(data, reader, rows)
-        rows.unread += zeros
+        rows.zeros += zeros
         for name, places in offsets.items():
             rows.counts[name] = len(places)
             if name in wanted or name in ("PARM", "MSG"):
@@ -98,7 +101,10 @@ def _walk(data: mmap.mmap, reader: Any, rows: Rows) -> tuple[dict[str, Any], dic
         rows.damaged += after - at
         at = after
     rows.damaged -= at - last_good if at > last_good else 0
-    rows.unread = size - last_good
+    if any(data[last_good : last_good + 1024]):
+        rows.unread = size - last_good
+    else:
+        rows.zeros = size - last_good
     return formats, {names[i]: offsets[i] for i in range(256) if names[i] and len(offsets[i])}
 
 

@@ -15,6 +15,7 @@ import mmap
 import re
 from collections.abc import Iterator
 from datetime import UTC, date, datetime, time
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,14 @@ from terranav.io.logs.raw import library, mapped
 _KN_MPS = 1852.0 / 3600.0
 _DAY_S = 86400.0
 _SENTENCE = re.compile(
-    rb"\$(?:[A-Z]{2}(?:GGA|GNS|RMC|ZDA|HDT|THS|DPT|DBT)|PASHR),[\x20-\x7e]{0,120}?(?=[\r\n$]|\Z)", re.ASCII
+    rb"\$(?:[A-Z]{2}(?:GGA|GNS|RMC|ZDA|HDT|THS|DPT|DBT)|PASHR),[\x20-\x7e]{0,120}?(?:\*[0-9A-Fa-f]{2}|\Z)", re.ASCII
 )
+#: a sentence of another kind, or a line of text that is none
+_OTHER = re.compile(rb"\A[\t\x20-\x23\x25-\x7e]*(?:[$!][\x20-\x7e]*\*[0-9A-Fa-f]{2}[\t\x20-\x7e]*)?\Z")
+_LINE = re.compile(rb"[^\r\n]{1,4096}")
 #: GGA quality of a position that a receiver measured
 _MEASURED = (1, 2, 3, 4, 5, 9)
-_MAX_SENTENCES = 20_000_000
+_MAX_LINES = 50_000_000
 
 
 class _Sentences:
@@ -106,24 +110,18 @@ def _parsed(data: mmap.mmap, path: Path) -> _Sentences:
     reader = library("pynmeagps", path, "a file of NMEA sentences")
     found = _Sentences()
     checked = data.find(b"*") >= 0
-    for count, (at, text) in enumerate(_texts(data)):
-        if count >= _MAX_SENTENCES:
-            break
-        if checked and b"*" not in text:
-            found.bad += 1
+    for line in islice(_LINE.finditer(data), _MAX_LINES):
+        match = _SENTENCE.search(line.group())
+        if match is None or (checked and b"*" not in match.group()):
+            found.bad += not _OTHER.search(line.group()) or match is not None
             continue
+        at, text = line.start(), match.group()
         try:
             parsed = reader.NMEAReader.parse(text.strip() + b"\r\n", validate=1 if checked else 0)
             found.take(at, parsed)
         except Exception:  # noqa: BLE001 - pynmeagps raises what the damaged text leads it to
             found.bad += 1
     return found
-
-
-def _texts(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
-    """Place and text of each sentence of a wanted kind."""
-    for match in _SENTENCE.finditer(data):
-        yield match.start(), match.group()
 
 
 def _seconds(value: Any) -> float:

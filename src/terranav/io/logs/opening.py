@@ -92,9 +92,9 @@ def format_of(file: Path) -> str:
         return "dataflash"
     if _is_tlog(head):
         return "tlog"
+    if _NMEA.search(head):
+        return "nmea"
     if b"\0" not in head:
-        if len(_NMEA.findall(head)) >= 1:
-            return "nmea"
         names = {
             name.strip().strip('"').lower() for name in head.split(b"\n", 1)[0].decode("utf-8", "replace").split(",")
         }

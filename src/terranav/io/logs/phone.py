@@ -63,7 +63,7 @@ def read(path: Path) -> Found:
         with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
             lines = (line.replace("\0", "") for line in stream)
             header = [name.strip().lower() for name in next(csv.reader(islice(lines, 1)), [])]
-            columns, bad = _columns(csv.reader(lines), _places(path, header), len(header))
+            columns, bad = _columns(csv.reader(_whole(lines, remarks)), _places(path, header), len(header))
     except (OSError, csv.Error) as problem:
         raise DataError(f"{path}: cannot be read as CSV ({problem})") from None
     if bad:
@@ -75,6 +75,15 @@ def read(path: Path) -> Found:
     start = datetime.fromtimestamp(start_s, UTC) if 1e8 < start_s < 1e10 else None
     parts = _series(columns, time_s - start_s)
     return Found(path, "phone CSV", parts, start_utc=start, remarks=remarks, whole=not bad)
+
+
+def _whole(lines: Iterator[str], remarks: list[str]) -> Iterator[str]:
+    """The lines without the last where it has no end: its last number may be cut, and still look like one."""
+    for line in lines:
+        if line.endswith(("\n", "\r")):
+            yield line
+        elif line.strip():
+            remarks.append("the file ends within a line, which may be cut and was left out")
 
 
 def _places(path: Path, header: list[str]) -> dict[str, int]:

@@ -92,11 +92,11 @@ def read(path: Path) -> Found:
     """
     dialect = library("pymavlink.dialects.v20.ardupilotmega", path, "a MAVLink log (.tlog)")
     systems: dict[int, _Frames] = {}
-    with mapped(path) as (data, zeros):
+    with mapped(path) as (data, padding):
         walk = _Walk(data, dialect)
         for system, name, row in walk:
             systems.setdefault(system, _Frames()).rows[name].extend(row)
-        damaged, unread = walk.damaged, walk.unread + zeros
+        damaged, unread, zeros = walk.damaged, walk.unread, walk.zeros + padding
     vehicles = {system: frames for system, frames in systems.items() if system < _GROUND_STATIONS} or systems
     if not vehicles:
         raise DataError(f"{path}: holds no whole MAVLink message of a position, an attitude or a sensor")
@@ -106,6 +106,8 @@ def read(path: Path) -> Found:
         remarks.append(f"the file is damaged: {damaged} bytes between messages that are whole were left out")
     if unread:
         remarks.append(f"the file is cut: its last {unread} bytes hold no whole message and were not read")
+    if zeros:
+        remarks.append(f"the last {zeros} bytes of the file are zero and were not read")
     if len(vehicles) > 1:
         remarks.append(f"{len(vehicles)} vehicles speak in this log: system {system}, with most messages, was read")
     parts, start = _parts(vehicles[system], remarks)
@@ -122,6 +124,7 @@ class _Walk:
 
     def __init__(self, data: Any, dialect: Any) -> None:
         self.data, self.dialect, self.damaged, self.unread = data, dialect, 0, 0
+        self.zeros = 0
         self.link = dialect.MAVLink(None)
 
     def __iter__(self) -> Iterator[tuple[int, str, list[float]]]:
@@ -141,7 +144,10 @@ class _Walk:
             if at - last_good > GIVE_UP_BYTES:
                 break
             at = self._next(at + 1, size)
-        self.unread = size - last_good
+        if any(data[last_good : last_good + 1024]):
+            self.unread = size - last_good
+        else:
+            self.zeros = size - last_good
 
     def _stamped(self, at: int) -> bool:
         """Whether a stamp of these decades stands here."""

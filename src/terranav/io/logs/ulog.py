@@ -54,7 +54,7 @@ class _Patient:
     """A mapped file for pyulog: its close does nothing, and it ends early once pyulog steps back too often."""
 
     def __init__(self, data: Any) -> None:
-        self.data, self.read, self.tell, self.steps_back = data, data.read, data.tell, 0
+        self.data, self.tell, self.steps_back, self.cut = data, data.tell, 0, 0
 
     @property
     def gave_up(self) -> bool:
@@ -65,18 +65,19 @@ class _Patient:
         """Move, and return the new place as a file does."""
         if whence == 1 and pos < 0:
             self.steps_back += 1
-            if self.gave_up:
-                self.read = _nothing
         self.data.seek(pos, whence)
         return int(self.tell())
 
+    def read(self, n: int) -> bytes:
+        """Read; note how much was left where less than asked for was: the file is cut there."""
+        if self.gave_up:
+            return b""
+        got: bytes = self.data.read(n)
+        self.cut = len(got) if len(got) < n else 0
+        return got
+
     def close(self) -> None:
         """Do nothing."""
-
-
-def _nothing(_: int = 0) -> bytes:
-    """The end of a file."""
-    return b""
 
 
 def read(path: Path) -> Found:
@@ -123,13 +124,16 @@ def _load(path: Path) -> tuple[Any, list[str], bool]:
             told = str(problem).splitlines()[:1] or [type(problem).__name__]
             raise DataError(f"{path}: is damaged, or no PX4 log: {told[0]}") from None
         given_up, left = stream.gave_up, size - stream.tell()
+        cut = stream.cut if any(data[size - stream.cut :]) else 0
     if given_up:
         remarks.append(f"the file is damaged: the last {left} of its {size} bytes hold no message that can be read")
-    elif log.file_corruption:
+    if log.file_corruption:
         remarks.append("the file is damaged: messages that cannot be read were left out")
+    if cut:
+        remarks.append(f"the file is cut: its last {cut} bytes hold no whole message and were not read")
     if zeros:
         remarks.append(f"the last {zeros} bytes of the file are zero and were not read")
-    return log, remarks, not (given_up or log.file_corruption)
+    return log, remarks, not (given_up or log.file_corruption or cut)
 
 
 def px4_series(topics: dict[str, list[Topic]], remarks: list[str]) -> list[Series]:
