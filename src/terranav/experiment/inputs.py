@@ -13,13 +13,11 @@ from terranav.core.errors import DataError, DataWarning
 from terranav.core.ins_grade import InsGrade
 from terranav.core.recording import DEFAULT_RAW_SIGMA_M, READY, Recording
 from terranav.core.records import Epoch, Prior
+from terranav.experiment.datums import PROBES, DatumGuard, level_doubt, levelled
 from terranav.maps.map import Map, as_maps
-from terranav.sensors.ready import ready
 
 FEET_PER_METRE = 1.0 / 0.3048
 FEWEST_FOR_DOUBT = 10  # readings on the map before their level is compared with it
-#: directions in which the prior is probed for the map, in units of its sigma per axis
-_PROBES = 3.0 * np.array([(n, e) for n in (-1.0, 0.0, 1.0) for e in (-1.0, 0.0, 1.0)])
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Inputs:
     epochs : tuple of Epoch
         Ready measurements only; no truth.
     assumed : tuple of str
-        What the recording did not say and was assumed, and what looked suspicious.
+        What the recording did not say and was assumed, what looked suspicious, and which heights were converted.
     """
 
     rec: Recording
@@ -47,7 +45,13 @@ class Inputs:
 
 
 def prepare(
-    rec: Recording, maps: Sequence[Map] | Map, ins: InsGrade | None, prior: Prior | None, *, needs_maps: bool
+    rec: Recording,
+    maps: Sequence[Map] | Map,
+    ins: InsGrade | None,
+    prior: Prior | None,
+    *,
+    needs_maps: bool,
+    guard: DatumGuard | None = None,
 ) -> Inputs:
     """Check what a run is given and make its epochs ready.
 
@@ -61,6 +65,8 @@ def prepare(
         Else zero mean and the initial position sigma of the INS.
     needs_maps : bool
         Whether any estimator compares readings with maps.
+    guard : DatumGuard, optional
+        What brings the readings to the vertical datum of the maps.
 
     Returns
     -------
@@ -69,12 +75,14 @@ def prepare(
     Raises
     ------
     DataError
-        No map, no reading that a map can be compared with, or a map that lies away from the recording.
+        No map, no reading that a map can be compared with, a map that lies away from the recording, or vertical datums
+        that cannot be brought together.
 
     Warns
     -----
     DataWarning
-        A grade or a sigma is assumed, the map covers a part of the track only, or its values look like feet.
+        A grade or a sigma is assumed, the map covers a part of the track only, its values look like feet, or their
+        level or their vertical datum does not quite go with that of the readings.
     """
     charts = as_maps(maps)
     assumed: list[str] = []
@@ -87,15 +95,21 @@ def prepare(
             f"position_walk_m_per_sqrt_s = {grade.position_walk_m_per_sqrt_s:g}"
         )
     prior = Prior.from_ins(grade) if prior is None else prior
-    epochs = tuple(ready(rec.epochs()))
+    guard = guard or DatumGuard()
+    level = levelled(rec, charts if needs_maps else (), guard)
     if needs_maps:
-        _check_kinds(rec, charts, epochs)
+        _check_kinds(rec, charts, level.epochs)
         assumed += _assumed_sigmas(rec)
         assumed += _check_cover(rec, charts, prior)
-        assumed += [text for chart in charts for text in _doubts(rec, chart, epochs)]
+        assumed += level.doubts
+        for chart in charts:
+            feet = _doubts(rec, chart, level.epochs)
+            unstated = chart.kind in level.unstated and not feet
+            assumed += feet or [level_doubt(rec, chart, level.epochs, prior, guard)] * unstated
+    assumed = [text for text in assumed if text]
     for text in assumed:
         warnings.warn(text, DataWarning, stacklevel=3)
-    return Inputs(rec, charts, grade, prior, epochs, tuple(assumed))
+    return Inputs(rec, charts, grade, prior, level.epochs, (*assumed, *level.shifted))
 
 
 def _check_kinds(rec: Recording, maps: tuple[Map, ...], epochs: tuple[Epoch, ...]) -> None:
@@ -129,7 +143,7 @@ def _assumed_sigmas(rec: Recording) -> list[str]:
 def _check_cover(rec: Recording, maps: tuple[Map, ...], prior: Prior) -> list[str]:
     """Raise DataError when the prior about the track misses a map; one line when the track leaves them all."""
     mean, sigma = prior.mean_m, np.sqrt(np.diag(prior.cov_m2))
-    north, east = (mean + _PROBES * sigma).T[:, :, None]
+    north, east = (mean + PROBES * sigma).T[:, :, None]
     reach = shift(rec.lat_deg, rec.lon_deg, -north, -east)
     away = [chart for chart in maps if not chart.covers(*reach).any()]
     if away:
