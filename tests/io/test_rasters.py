@@ -334,7 +334,7 @@ def bad_files(folder: Path) -> dict[str, tuple[Path, str]]:
     """Files that are no maps, by what is wrong with them, and what the message must say."""
     files = {
         "missing": (folder / "nowhere.tif", "no such file"),
-        "directory": (folder, "is a folder"),
+        "directory": (folder / "none", "no map in it, expected files such as"),
         "empty": (folder / "empty.tif", "is empty"),
         "text": (folder / "text.tif", "not a readable raster"),
         "truncated hgt": (folder / "N47E009.hgt", "of 1201 x 1201 or 3601 x 3601 two-byte values .* not 20000"),
@@ -349,6 +349,7 @@ def bad_files(folder: Path) -> dict[str, tuple[Path, str]]:
     }
     files["empty"][0].touch()
     files["text"][0].write_text("height 12\n")
+    (folder / "none").mkdir()
     files["truncated hgt"][0].write_bytes(bytes(20000))
     files["nameless hgt"][0].write_bytes(bytes(2 * 1201 * 1201))
     large = np.random.default_rng(1).normal(size=(300, 300))

@@ -18,11 +18,6 @@ if TYPE_CHECKING:
     from terranav.maps.map import Map
 
 
-WHOLE_CELLS = 2**24  # a map of at most so many cells (64 MiB) is read whole
-REACH = 10.0  # sigmas of the INS by its grade, which may be told too well
-MARGIN_M = 5000.0
-
-
 @dataclass(frozen=True)
 class Given:
     """The options that `run` and `compare` share.
@@ -62,16 +57,11 @@ class Given:
             from terranav.ins.drift import add_drift
 
             rec = add_drift(rec, drift, self.drift_seed)
-        return rec, open_maps(self.maps, self.map_options, rec, told), told
+        return rec, open_maps(self.maps, self.map_options), told
 
 
-def open_maps(
-    paths: Sequence[Path],
-    options: Mapping[str, Sequence[Any] | None],
-    rec: Recording | None = None,
-    ins: InsGrade | None = None,
-) -> tuple[Map, ...]:
-    """Open each map; of one with more than WHOLE_CELLS cells only what the INS may be over (`reach_box`) is read.
+def open_maps(paths: Sequence[Path], options: Mapping[str, Sequence[Any] | None]) -> tuple[Map, ...]:
+    """Open each map; a folder of tiles is one.
 
     Parameters
     ----------
@@ -79,16 +69,12 @@ def open_maps(
     options : mapping
         Option (kind, sigma, correlation, crs, variable, unit) to its values: none, one for all maps, or one for each
         map in their order.
-    rec : Recording, optional
-        Without it every map is read whole.
-    ins : InsGrade, optional
-        By default the recording's.
 
     Raises
     ------
     ConfigError, DataError
     """
-    from terranav.io.rasters import cell_count, open_map
+    from terranav.io.rasters import open_map
 
     n = len(paths)
     each: list[dict[str, Any]] = [{} for _ in paths]
@@ -101,36 +87,7 @@ def open_maps(
             each[i]["correlation_m" if key == "correlation" else key] = (values or ())[
                 i if len(values or ()) == n else 0
             ]
-    for path, keywords in zip(paths, each, strict=True):
-        if rec is not None and cell_count(path, keywords.get("variable")) > WHOLE_CELLS:
-            keywords["box"] = reach_box(rec, ins)
     return tuple(open_map(path, **keywords) for path, keywords in zip(paths, each, strict=True))
-
-
-def reach_box(rec: Recording, ins: InsGrade | None = None) -> tuple[float, float, float, float]:
-    """Where the vehicle may be: south, west, north and east of the track with REACH sigmas of an unaided INS [deg].
-
-    A track within a degree of a pole, or one that goes around the Earth, may be at any longitude.
-    """
-    import numpy as np
-
-    from terranav.core.earth import shift
-    from terranav.core.ins_grade import InsGrade
-
-    grade = ins or rec.ins or InsGrade()
-    last_s = float(rec.time_s[-1] - rec.time_s[0])
-    sigma_m = (grade.position_sigma_m**2 + grade.position_growth_m2(0.0, last_s)) ** 0.5
-    margin_m = REACH * sigma_m + MARGIN_M
-    lat, lon = rec.lat_deg, np.unwrap(rec.columns["lon_deg"], period=360.0)
-    south, north = (
-        float(shift(end, 0.0, away, 0.0)[0]) for end, away in ((lat.min(), -margin_m), (lat.max(), margin_m))
-    )
-    furthest = max(abs(south), abs(north))
-    if furthest > 89.0:
-        return max(south, -90.0), -180.0, min(north, 90.0), 179.999999
-    wide = float(shift(furthest, 0.0, 0.0, margin_m)[1])
-    west, east = float(lon.min()) - wide, float(lon.max()) + wide
-    return (south, -180.0, north, 179.999999) if east - west >= 360.0 else (south, west, north, east)
 
 
 def ins_from(option: str, text: str) -> InsGrade:

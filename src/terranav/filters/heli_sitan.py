@@ -329,7 +329,7 @@ def fitted_planes(
 
 def correlation_length_m(chart: Map) -> float:
     """L of a field with covariance exp(-(r/L)^2) that has the map's standard deviation and slopes; at least a cell."""
-    values = chart.values.astype(np.float64)
+    values = chart.typical().values.astype(np.float64)
     steps = [np.diff(values, axis=axis) for axis in (0, 1)]
     slope2 = float(np.mean([np.nanmean(step**2) for step in steps])) / chart.cell_m**2
     return max(chart.cell_m, math.sqrt(2.0 * float(np.nanvar(values)) / slope2)) if slope2 > 0.0 else math.inf

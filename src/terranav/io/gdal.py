@@ -70,9 +70,11 @@ def _void(raster: Any, band: int, window: Window, raw: NDArray[Any]) -> NDArray[
 @contextmanager
 def _kept(file: Path) -> Iterator[Any]:
     """A raster that stays open for the next window of this thread, until MOST_OPEN others have been."""
-    rasters: OrderedDict[Path, Any] = _OPEN.__dict__.setdefault("rasters", OrderedDict())
-    raster = rasters.pop(file, None)
+    rasters: OrderedDict[tuple[Path, int, int], Any] = _OPEN.__dict__.setdefault("rasters", OrderedDict())
     with _as_data_error(file):
+        state = file.stat()
+        key = file, state.st_mtime_ns, state.st_size  # a file that was written anew is another one
+        raster = rasters.pop(key, None)
         if raster is None:
             import rasterio
 
@@ -80,7 +82,7 @@ def _kept(file: Path) -> Iterator[Any]:
             with rasterio.Env(**own):
                 raster = rasterio.open(file)
         yield raster
-        rasters[file] = raster
+        rasters[key] = raster
         if len(rasters) > MOST_OPEN:
             rasters.popitem(last=False)[1].close()
 

@@ -4,34 +4,30 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from terranav.core.errors import ConfigError, DataError, DataWarning
+from terranav.core.errors import DataWarning
 from terranav.core.kinds import kind_named
 from terranav.core.memory import need
-from terranav.io.files import existing_file
-from terranav.io.gdal import read_raster
-from terranav.io.grids import Grid, is_netcdf, read_grid
-from terranav.io.units import unit_factor
-from terranav.maps.georeference import Georeference
+from terranav.io.mosaics import mosaic_of, paths_of
+from terranav.io.sources import How, Source, named, source_of
+from terranav.maps.georeference import Box
 from terranav.maps.info import suspicions
 from terranav.maps.map import Map
-
-Box = tuple[float, float, float, float]
+from terranav.maps.mosaic import MEMORY_MB
 
 #: 1-sigma map error taken where the user states none: SRTM and national terrain models (m), GEBCO-like relief off the
 #: sounded tracks of the open sea (m), satellite gravity (mGal), and magnetic compilations (nT).
 DEFAULT_SIGMA = {"terrain": 3.0, "bathymetry": 10.0, "gravity": 2.0, "magnetic": 20.0}
 
 CELL_BYTES = 12  # that opening takes for each cell at its most: the value, and what looks it over
-
-_WHAT = "a map raster"
+LARGE_CELLS = 2**26  # a map of more cells (256 MiB) stays in its file
 
 
 def open_map(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     *,
     kind: str = "terrain",
     sigma: float | None = None,
@@ -42,8 +38,9 @@ def open_map(
     positive_down: bool = False,
     name: str | None = None,
     box: Box | None = None,
+    memory_mb: float = MEMORY_MB,
 ) -> Map:
-    """Read a map from a file.
+    """Read a map from a file, or open a mosaic of many.
 
     Nodata, masks, scale, offset, row order and pixel-is-area or pixel-is-point are as the file says; the values are
     turned into the kind's unit. Whatever can be used but looks wrong (feet called metres, positive depths) is a
@@ -51,8 +48,11 @@ def open_map(
 
     Parameters
     ----------
-    path : str or Path
-        GeoTIFF, .hgt, .hgt.zip, DTED, ESRI ASCII, VRT or any other raster of GDAL; NetCDF, GMT .grd of any age.
+    path : str or Path, or several
+        GeoTIFF, .hgt, .hgt.zip, DTED, ESRI ASCII, VRT or any other raster of GDAL; NetCDF, GMT .grd of any age. Or
+        tiles: a folder (and its folders), a pattern such as 'tiles/N4?E*.hgt', or a list of files. Several tiles, and a
+        file of more than `LARGE_CELLS` cells, become a `terranav.maps.mosaic.Mosaic`, whose values stay in the files.
+        Where tiles overlap, the finer one wins, of one grid the first by name; of a list the first in the list.
     kind : str
         'terrain', 'bathymetry', 'gravity' or 'magnetic'.
     sigma : float, optional
@@ -73,10 +73,13 @@ def open_map(
     box : (south, west, north, east), optional
         Read only the cells whose centres enclose this box, as `Map.crop` would cut them out [deg]; memory is taken for
         these alone. East below west means a box across the antimeridian.
+    memory_mb : float
+        Most memory for the values of a mosaic, at least 8 [MiB].
 
     Returns
     -------
     Map
+        A `Mosaic` of tiles, unless a box is given.
 
     Raises
     ------
@@ -85,59 +88,34 @@ def open_map(
     ConfigError
         Unknown kind or unit, negative sigma, or a map that does not fit into the memory.
     """
-    kind_row = kind_named(kind)
-    file = existing_file(path, _WHAT)
-    grid = _grid(file, variable)
-    if crs is None and grid.crs is None:
-        raise DataError(
-            f"{file}: states no CRS and its axes are not longitude and latitude, expected crs= (e.g. 'EPSG:4326')"
-        )
-    doubts: list[str] = []
-    factor = unit_factor(str(file), kind_row, grid.unit, unit, doubts)
-    if positive_down or grid.positive_down:
-        factor = -factor
-    label = name or file.name
-    with _named(file, label):
-        place = Georeference(grid.shape, grid.transform, crs or str(grid.crs))
-        window = ((0, grid.shape[0]), (0, grid.shape[1])) if box is None else place.window(*box)
+    how = How(kind, crs, variable, unit, positive_down)
+    about = {"kind": kind, "sigma": DEFAULT_SIGMA.get(kind) if sigma is None else sigma, "correlation_m": correlation_m}
+    several = paths_of(path)
+    if several is None:
+        source = source_of(str(path), how, name)
+        if box is not None or math.prod(source.place.shape) <= LARGE_CELLS:
+            return _read(source, about, name or source.file.name, box)
+    chart = mosaic_of(path, how, about | {"name": name}, memory_mb)
+    return chart if box is None else chart.crop(*box)
+
+
+def _read(source: Source, about: dict[str, Any], label: str, box: Box | None) -> Map:
+    """The map of one file, or what lies in a box of it."""
+    file, place, kind = source.file, source.place, str(about["kind"])
+    with named(file, label):
+        window = ((0, place.shape[0]), (0, place.shape[1])) if box is None else place.window(*box)
         place = place.cropped(window)
     need(CELL_BYTES * math.prod(place.shape), f"{file}: map of {place.shape[0]} x {place.shape[1]} cells")
-    values = grid.read(window, factor)
+    values = source.read(window)
     values.setflags(write=False)  # the map may keep it without a copy
-    with _named(file, label):
-        result = Map(
-            values=values,
-            transform=place.transform,
-            crs=place.crs,
-            kind=kind,
-            unit=kind_row.unit,
-            sigma=DEFAULT_SIGMA[kind] if sigma is None else sigma,
-            datum=grid.datum,
-            source=file.name,
-            name=label,
-            correlation_m=correlation_m,
-        )
-    for doubt in (*doubts, *(f"{file}: {text}" for text in suspicions(result.values, kind))):
-        warnings.warn(doubt, DataWarning, stacklevel=2)
+    own: dict[str, Any] = {
+        "unit": kind_named(kind).unit,
+        "datum": source.grid.datum,
+        "source": file.name,
+        "name": label,
+    }
+    with named(file, label):
+        result = Map(values, place.transform, place.crs, **about, **own)
+    for doubt in (*source.doubts, *(f"{file}: {text}" for text in suspicions(result.values, kind))):
+        warnings.warn(doubt, DataWarning, stacklevel=3)
     return result
-
-
-def cell_count(path: str | Path, variable: str | int | None = None) -> int:
-    """How many cells the map of a file has; its values are not read. The errors are those of `open_map`."""
-    return math.prod(_grid(existing_file(path, _WHAT), variable).shape)
-
-
-def _grid(file: Path, variable: str | int | None) -> Grid:
-    """What is in a file."""
-    if is_netcdf(file):
-        return read_grid(file, None if variable is None else str(variable))
-    return read_raster(file, variable)
-
-
-@contextmanager
-def _named(file: Path, label: str) -> Iterator[None]:
-    """What is wrong with a map names its file."""
-    try:
-        yield
-    except (DataError, ConfigError) as error:
-        raise type(error)(f"{file}: {str(error).removeprefix(f'{label}: ')}") from None

@@ -254,6 +254,10 @@ class Map:
         (r0, r1), (c0, c1) = window
         return replace(self, values=self.values[r0:r1, c0:c1], transform=self._place.cropped(window).transform)
 
+    def typical(self) -> Map:
+        """The map for statistics of its ground: itself here, parts side by side of a `Mosaic` too large to be read."""
+        return self
+
     @cached_property
     def checksum(self) -> str:
         """SHA-256 of values, transform, CRS and kind, hexadecimal."""

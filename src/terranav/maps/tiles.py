@@ -1,0 +1,257 @@
+"""Tiles of a mosaic: which of them share one grid, and what is in a window of that grid."""
+
+from __future__ import annotations
+
+import math
+import threading
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from terranav.core.errors import ConfigError, DataError, DataWarning
+from terranav.maps.georeference import Georeference, Window
+
+Float32Array = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+
+SAME_CELL = 1e-3  # of a cell: grids that differ by less from end to end are one
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A map in a file.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    place : Georeference
+    read : function of a window
+        ((first row, past the last), (first column, past the last)) -> (rows, cols) float32, NaN where void. It may
+        raise DataError, which leaves the tile out.
+    fingerprint : function
+        A text that changes with the content.
+    """
+
+    name: str
+    place: Georeference
+    read: Callable[[Window], Float32Array]
+    fingerprint: Callable[[], str] = str
+
+
+class Layer:
+    """Tiles whose cells coincide where they overlap: a window of them is exact across their seams.
+
+    Parameters
+    ----------
+    tiles : sequence of Tile
+        On one grid, but for whole cells and whole turns of the Earth. Where several have a value the first has it.
+
+    Attributes
+    ----------
+    place : Georeference
+        The grid from the outermost tile to the outermost.
+    at : (n, 4) int64
+        First row, past the last, first column and past the last of each tile.
+    period : int or None
+        Columns around the Earth, of a grid that goes around.
+    """
+
+    def __init__(self, tiles: Sequence[Tile]) -> None:
+        self.tiles = tuple(tiles)
+        first = self.tiles[0].place
+        shifts = [np.round(_offset(first, tile.place)).astype(int) for tile in self.tiles]
+        around = round(360.0 / abs(first.transform[0])) if _turns(first) else None
+        if around is not None:
+            shifts = _unrolled(shifts, [tile.place.shape[1] for tile in self.tiles], around)
+        start = np.min(shifts, axis=0)
+        size = np.array([tile.place.shape for tile in self.tiles])
+        origin = np.array(shifts) - start
+        self.at = np.stack([origin[:, 0], origin[:, 0] + size[:, 0], origin[:, 1], origin[:, 1] + size[:, 1]], axis=1)
+        shape = int(self.at[:, 1].max()), int(self.at[:, 3].max())
+        self.place = placed(first, (int(start[0]), int(start[1])), shape)
+        self.period = around if around is not None and shape[1] >= around else None
+        self._broken: set[int] = set()
+        self._lock = threading.Lock()
+
+    def read(self, window: Window) -> Float32Array:
+        """The values of a window, which may reach beyond the grid: NaN there, and around the Earth if the grid is."""
+        (top, bottom), (left, right) = window
+        out = np.full((bottom - top, right - left), np.nan, np.float32)
+        if self.period is None:
+            self._fill(out, top, left)
+            return out
+        column = left
+        while column < right:  # turn by turn; a column more than the period is there twice
+            turn = column // self.period
+            past = min(right, (turn + 1) * self.period)
+            self._fill(out[:, column - left : past - left], top, column - turn * self.period)
+            column = past
+        return out
+
+    def _fill(self, out: Float32Array, top: int, left: int) -> None:
+        """Write what the tiles have into a window that is NaN."""
+        bottom, right = top + out.shape[0], left + out.shape[1]
+        at = self.at
+        for k in np.flatnonzero((at[:, 0] < bottom) & (at[:, 1] > top) & (at[:, 2] < right) & (at[:, 3] > left)):
+            r0, r1, c0, c1 = (int(number) for number in at[k])
+            rows, cols = (max(r0, top), min(r1, bottom)), (max(c0, left), min(c1, right))
+            part = out[rows[0] - top : rows[1] - top, cols[0] - left : cols[1] - left]
+            missing = np.isnan(part)
+            if k not in self._broken and missing.any():
+                found = self._read(int(k), ((rows[0] - r0, rows[1] - r0), (cols[0] - c0, cols[1] - c0)))
+                if found is not None:
+                    np.copyto(part, found, where=missing)
+
+    def _read(self, k: int, window: Window) -> Float32Array | None:
+        """A window of a tile; None, and a warning the first time, of one that cannot be read."""
+        try:
+            return self.tiles[k].read(window)
+        except DataError as error:
+            with self._lock:
+                new = k not in self._broken
+                self._broken.add(k)
+            if new:
+                warnings.warn(f"{error}; the tile is left out", DataWarning, stacklevel=2)
+            return None
+
+
+def layers(tiles: Sequence[Tile]) -> list[Layer]:
+    """Tiles by the grids that they share, in the order of the first of each."""
+    groups: list[list[Tile]] = []
+    for tile in tiles:
+        for group in groups:
+            if _same_grid(group[0].place, tile.place):
+                group.append(tile)
+                break
+        else:
+            groups.append([tile])
+    return [Layer(group) for group in groups]
+
+
+def placed(like: Georeference, start: tuple[int, int], shape: tuple[int, int]) -> Georeference:
+    """The grid of another, from another first row and column and of another shape."""
+    (r0, c0), (a, b, c, d, e, f) = start, like.transform
+    return replace(like, shape=shape, transform=(a, b, c + a * c0 + b * r0, d, e, f + d * c0 + e * r0))
+
+
+def union(finest: Layer, others: Sequence[Layer]) -> tuple[Georeference, tuple[int, int]]:
+    """The grid of a layer made so large that it holds others, and where it begins in that layer's rows and columns."""
+    low, high = np.zeros(2), np.array(finest.place.shape, dtype=np.float64)
+    for layer in others:
+        rows, cols = layer.place.shape
+        t = np.linspace(-0.5, 0.5, 41)
+        row, col = np.meshgrid(0.5 * (rows - 1) + t * rows, 0.5 * (cols - 1) + t * cols, indexing="ij")
+        at = np.stack(finest.place.cells(*lat_lon(layer.place, row, col))).reshape(2, -1)
+        at = at[:, np.isfinite(at).all(axis=0)]
+        if at.size:
+            low, high = np.minimum(low, np.floor(at.min(axis=1))), np.maximum(high, np.ceil(at.max(axis=1)) + 1.0)
+    if finest.period is not None:
+        low[1], high[1] = 0.0, finest.place.shape[1]
+    start = int(low[0]), int(low[1])
+    shape = int(high[0] - low[0]), int(high[1] - low[1])
+    return placed(finest.place, start, shape), start
+
+
+def interpolated(
+    layer: Layer, place: Georeference, start: tuple[int, int], out: Float32Array, *, nearest: bool = False
+) -> None:
+    """Write a layer into the cells of another grid that are NaN: bilinear, or the nearest cell.
+
+    Parameters
+    ----------
+    layer : Layer
+    place : Georeference
+        The other grid.
+    start : row and column of its first cell in `out`
+    out : (rows, cols)
+        Written to.
+    nearest : bool
+        The nearest cell, no more than half a cell away along rows and columns: for what lies beside voids and edges.
+    """
+    at = np.nonzero(np.isnan(out))
+    if not at[0].size:
+        return
+    row, col = layer.place.cells(*lat_lon(place, at[0] + start[0], at[1] + start[1]))
+    rows, cols = layer.place.shape
+    with np.errstate(invalid="ignore"):
+        known = (row > -0.5 - 1e-6) & (row < rows - 0.5 + 1e-6)
+        if layer.period is None:
+            known &= (col > -0.5 - 1e-6) & (col < cols - 0.5 + 1e-6)
+    if not known.any():
+        return
+    row, col = row[known], col[known]
+    top, left = math.floor(row.min()) - 1, math.floor(col.min()) - 1
+    values = layer.read(((top, math.ceil(row.max()) + 2), (left, math.ceil(col.max()) + 2)))
+    if nearest:
+        found = values[np.rint(row - top).astype(int), np.rint(col - left).astype(int)].astype(np.float64)
+    else:
+        found = sampled(values, row - top, col - left, "bilinear")
+    out[at[0][known], at[1][known]] = found
+
+
+def sampled(values: Float32Array, row: FloatArray, col: FloatArray, method: str) -> FloatArray:
+    """Values at fractional rows and columns (n,); NaN off them."""
+    from terranav.kernels import sampling
+
+    if method not in ("bilinear", "bicubic"):
+        raise ConfigError(f"sampling method is {method!r}, expected 'bilinear' or 'bicubic'")
+    out = np.empty(row.size)
+    kernel = sampling.bilinear if method == "bilinear" else sampling.bicubic
+    kernel(values, np.ascontiguousarray(row), np.ascontiguousarray(col), out)
+    return out
+
+
+def lat_lon(place: Georeference, row: ArrayLike, col: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Latitude and longitude of fractional rows and columns, on the grid or beyond it [deg]."""
+    a, b, c, d, e, f = place.transform
+    y, x = np.asarray(row, dtype=np.float64) + 0.5, np.asarray(col, dtype=np.float64) + 0.5
+    return place.projection.inverse(a * x + b * y + c, d * x + e * y + f)
+
+
+def _turns(place: Georeference) -> bool:
+    """Whether columns are meridians, a whole number of them around the Earth."""
+    a, b, _, d, _, _ = place.transform
+    if not place.projection.geographic or b != 0.0 or d != 0.0:
+        return False
+    around = 360.0 / abs(a)
+    return abs(around - round(around)) < 10.0 * SAME_CELL
+
+
+def _offset(first: Georeference, other: Georeference) -> FloatArray:
+    """Row and column, in the first grid, of the first cell of another."""
+    a, b, c, d, e, f = other.transform
+    x, y = c + 0.5 * (a + b), f + 0.5 * (d + e)
+    i = first.inverse
+    return np.array([i[3] * x + i[4] * y + i[5], i[0] * x + i[1] * y + i[2]])
+
+
+def _same_grid(first: Georeference, other: Georeference) -> bool:
+    """Whether the cells of two grids coincide but for whole numbers of them."""
+    one, two = first.projection, other.projection
+    if not (one is two or (one.plain and two.plain) or one.crs == two.crs):
+        return False
+    a, b, _, d, e, _ = first.transform
+    p, q, _, s, t, _ = other.transform
+    cell = min(np.hypot(a, d), np.hypot(b, e))
+    if max(abs(a - p), abs(b - q), abs(d - s), abs(e - t)) * max(other.shape) > SAME_CELL * cell:
+        return False
+    offset = _offset(first, other)
+    return bool((np.abs(offset - np.round(offset)) < 10.0 * SAME_CELL).all())
+
+
+def _unrolled(shifts: list[NDArray[np.int_]], width: Sequence[int], around: int) -> list[NDArray[np.int_]]:
+    """First rows and columns with whole turns added, so that the largest gap between tiles lies at the ends."""
+    west = np.array([shift[1] for shift in shifts]) % around
+    order = np.argsort(west, kind="stable")
+    reach, start, widest = 0, int(west[order[0]]), -1
+    reach = max(int(west[k]) + width[k] for k in order) - around  # what hangs over the seam
+    for k in order:
+        gap = int(west[k]) - reach
+        if gap > widest:
+            widest, start = gap, int(west[k])
+        reach = max(reach, int(west[k]) + width[k])
+    return [np.array([shift[0], start + (int(w) - start) % around]) for shift, w in zip(shifts, west, strict=True)]
