@@ -164,7 +164,12 @@ def test_tiles_of_two_vertical_datums_are_refused(tmp_path: Path) -> None:
     with pytest.raises(tn.DataError, match=r"a\.tif.*EGM96.*b\.tif.*EGM2008"):
         tn.open_map(tmp_path)
     geotiff(tmp_path / "b.tif", slice(0, 150), slice(200, 400))
-    assert opened(tmp_path).datum == "EGM96"
+    with pytest.warns(tn.DataWarning, match=r"1 of 2 tiles, such as .*b\.tif, name no vertical datum, others EGM96"):
+        assert opened(tmp_path).datum is None
+    assert tn.open_map(tmp_path, datum="EPSG:5773").datum == "EGM96"
+    assert tn.open_map(tmp_path / "a.tif", datum="ellipsoid").datum == "ellipsoid"
+    with pytest.raises(tn.ConfigError, match="map datum is 'EGM69'"):
+        tn.open_map(tmp_path, datum="EGM69")
 
 
 def test_feet_called_metres_are_doubted(tmp_path: Path) -> None:

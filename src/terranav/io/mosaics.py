@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from terranav.core.errors import DataError, DataWarning
 from terranav.io.files import existing_file
 from terranav.io.sources import WHAT, How, Source, source_of
+from terranav.maps.datum import agreed_datum, vertical_datum
 from terranav.maps.info import suspicions
 from terranav.maps.mosaic import MEMORY_MB, Mosaic
 from terranav.maps.tiles import Layer, Tile, interpolated
@@ -72,7 +73,7 @@ def mosaic_of(path: Paths, how: How, about: Mapping[str, Any], memory_mb: float 
     path : as of `open_map`
     how : How
     about : mapping
-        kind, sigma, correlation_m, name, as of `Map`.
+        kind, sigma, correlation_m, datum, name, as of `Map`; the datum None is what the tiles state.
     memory_mb : float
 
     Raises
@@ -90,7 +91,7 @@ def mosaic_of(path: Paths, how: How, about: Mapping[str, Any], memory_mb: float 
     for source in opened:
         _warn(source.doubts)
     label = str(about.get("name") or _name_of(path, files))
-    datum = _datum(label, opened)
+    datum = about.get("datum") or _datum(label, opened)
     tiles = [_tile(source) for source in opened]
     sigma = float(about["sigma"])
     _warn(_suspicious(label, tiles, how.kind))
@@ -123,15 +124,16 @@ def _opened(files: Sequence[Path], how: How) -> tuple[list[Source], list[str]]:
 
 
 def _datum(label: str, sources: Sequence[Source]) -> str | None:
-    """The one vertical datum of tiles; those that state none are taken to have it."""
-    stated = [source for source in sources if source.grid.datum is not None]
-    for source in stated[1:]:
-        if source.grid.datum != stated[0].grid.datum:
-            raise DataError(
-                f"{label}: {stated[0].file} has heights above {stated[0].grid.datum}, {source.file} above "
-                f"{source.grid.datum}, expected one vertical datum (terranav map convert --datum changes it)"
-            )
-    return stated[0].grid.datum if stated else None
+    """The one vertical datum of tiles; None, and a warning, where only some state theirs."""
+    datum = agreed_datum((str(source.file), source.grid.datum) for source in sources)
+    silent = [source for source in sources if vertical_datum(source.grid.datum) is None]
+    if datum is None and len(silent) < len(sources):
+        stated = next(source.grid.datum for source in sources if vertical_datum(source.grid.datum) is not None)
+        text = (
+            f"{len(silent)} of {len(sources)} tiles, such as {silent[0].file}, name no vertical datum, others {stated}"
+        )
+        _warn([f"{label}: {text}; taken as unknown, datum= (--map-datum) says it"])
+    return datum
 
 
 def _tile(source: Source) -> Tile:

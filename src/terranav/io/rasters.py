@@ -13,6 +13,7 @@ from terranav.core.kinds import kind_named
 from terranav.core.memory import need
 from terranav.io.mosaics import mosaic_of, paths_of
 from terranav.io.sources import How, Source, named, source_of
+from terranav.maps.datum import stated_datum, vertical_datum
 from terranav.maps.georeference import Box
 from terranav.maps.info import suspicions
 from terranav.maps.map import Map
@@ -38,6 +39,7 @@ def open_map(
     positive_down: bool = False,
     name: str | None = None,
     box: Box | None = None,
+    datum: str | None = None,
     memory_mb: float = MEMORY_MB,
 ) -> Map:
     """Read a map from a file, or open a mosaic of many.
@@ -73,6 +75,9 @@ def open_map(
     box : (south, west, north, east), optional
         Read only the cells whose centres enclose this box, as `Map.crop` would cut them out [deg]; memory is taken for
         these alone. East below west means a box across the antimeridian.
+    datum : str, optional
+        Vertical datum of the heights, such as 'EGM96', 'EGM2008', 'ellipsoid' or 'MLLW' (`terranav.maps.datum`); wins
+        over what the file states.
     memory_mb : float
         Most memory for the values of a mosaic, at least 8 [MiB].
 
@@ -86,10 +91,11 @@ def open_map(
     DataError
         The file is missing, empty, not a raster, without what a map needs, or beside the box.
     ConfigError
-        Unknown kind or unit, negative sigma, or a map that does not fit into the memory.
+        Unknown kind, unit or datum, negative sigma, or a map that does not fit into the memory.
     """
     how = How(kind, crs, variable, unit, positive_down)
     about = {"kind": kind, "sigma": DEFAULT_SIGMA.get(kind) if sigma is None else sigma, "correlation_m": correlation_m}
+    about["datum"] = stated_datum(datum, "map datum")
     several = paths_of(path)
     if several is None:
         source = source_of(str(path), how, name)
@@ -110,12 +116,12 @@ def _read(source: Source, about: dict[str, Any], label: str, box: Box | None) ->
     values.setflags(write=False)  # the map may keep it without a copy
     own: dict[str, Any] = {
         "unit": kind_named(kind).unit,
-        "datum": source.grid.datum,
+        "datum": about["datum"] or vertical_datum(source.grid.datum),
         "source": file.name,
         "name": label,
     }
     with named(file, label):
-        result = Map(values, place.transform, place.crs, **about, **own)
+        result = Map(values, place.transform, place.crs, **about | own)
     for doubt in (*source.doubts, *(f"{file}: {text}" for text in suspicions(result.values, kind))):
         warnings.warn(doubt, DataWarning, stacklevel=3)
     return result
