@@ -210,6 +210,16 @@ def test_the_package_serves_where_it_has_heights(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_allclose(found.height([30.0, 90.0, -5.0], [10.0, 0.0, 180.0]), [5.0, 10.0, -0.87156], atol=1e-4)
 
 
+def test_a_mosaic_is_converted_to_a_map_in_memory(tmp_path: Path) -> None:
+    for west in (10.0, 10.32):
+        write_map(Map(HEIGHTS, (0.01, 0.0, west, 0.0, -0.01, 46.0), datum="EGM96"), tmp_path / f"{west:.2f}.tif")
+    chart, geoid = tn.open_map(tmp_path), open_geoid(gtx(tmp_path / "egm96.gtx"))
+    high = convert_map(chart, "ellipsoid", geoid)
+    assert type(high) is Map
+    lat, lon = np.random.default_rng(6).uniform((45.8, 10.01), (45.95, 10.6), (50, 2)).T
+    np.testing.assert_allclose(high.sample(lat, lon), chart.sample(lat, lon) + geoid.height(lat, lon), atol=2e-3)
+
+
 @pytest.mark.usefixtures("nothing_installed")
 def test_what_the_user_gives_comes_first(tmp_path: Path) -> None:
     own = open_geoid(gtx(tmp_path / "egm96_15.gtx"))

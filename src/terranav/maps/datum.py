@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -363,7 +363,10 @@ def convert(chart: Map, to: str, find: Find | Geoid) -> Map:
         raise DataError(f"{chart.name}: cannot go from {source} to {target}: {shift.doubt}; expected a grid for each")
     if shift.doubt:
         warnings.warn(f"{chart.name}: {shift.doubt}", DataWarning, stacklevel=2)
-    return replace(chart, values=_shifted(chart, shift), datum=target)
+    from terranav.maps.map import Map  # a plain one, whatever the map is: its values are in memory now
+
+    facts = {entry.name: getattr(chart, entry.name) for entry in fields(Map)}
+    return Map(**{**facts, "values": _shifted(chart, shift), "datum": target})
 
 
 def _only(geoid: Geoid) -> Find:
