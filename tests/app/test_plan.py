@@ -61,14 +61,17 @@ def test_layers_lie_where_the_map_does(flight: Flight, tmp_path: Path, capsys: p
     assert told["map_correlation_m"] == 300.0
     chart = open_map(flight.map, kind="terrain", crs="EPSG:4326", correlation_m=300.0)
     found = suitability(chart, grade_named("tactical"), LegSettings(distance_m=3000.0, headings=4))
-    south, west, north, east = chart.bounds_deg
     rng = np.random.default_rng(1)
-    lat, lon = rng.uniform(south, north, 20), rng.uniform(west, east, 20)
+    lat, lon = (
+        rng.uniform(found.lat_deg[-1], found.lat_deg[0], 20),
+        rng.uniform(found.lon_deg[0], found.lon_deg[-1], 20),
+    )
     with rasterio.open(told["files"]["by_heading"]) as legs, rasterio.open(told["files"]["grids"]) as layers:
         sigmas = np.array(list(legs.sample(zip(lon, lat, strict=True))))
         slopes = np.array([band[4] for band in layers.sample(zip(lon, lat, strict=True))])
-    for place, sigma in zip(zip(lat, lon, strict=True), sigmas, strict=True):
-        np.testing.assert_array_equal(sigma, [np.float32(found.at(*place, heading)) for heading in (0, 90, 180, 270)])
+    row = np.abs(found.lat_deg[:, None] - lat).argmin(axis=0)
+    col = np.abs(found.lon_deg[:, None] - lon).argmin(axis=0)
+    np.testing.assert_array_equal(sigmas, found.sigma_m[:, row, col].T)
     assert np.isfinite(sigmas).sum() > 10
     half = 3.0 * found.block_m  # the patch that the slope is of
     for i in np.flatnonzero(np.isfinite(slopes)):

@@ -145,15 +145,22 @@ def test_best_worst_and_median(found: Suitability) -> None:
     assert share["median"] == pytest.approx(0.5, abs=0.01)
 
 
-def test_at_is_the_block_and_the_heading_nearest(found: Suitability) -> None:
+def test_at_lies_between_blocks_and_headings(found: Suitability) -> None:
     lat, lon = float(found.lat_deg[20]), float(found.lon_deg[30])
-    down, right = 0.4 * (lat - found.lat_deg[21]), 0.4 * (found.lon_deg[31] - lon)
+    down, right = float(found.lat_deg[20] - found.lat_deg[21]), float(found.lon_deg[31] - found.lon_deg[30])
+    logs = np.log(found.sigma_m.astype(np.float64))
     for k, heading in enumerate(found.headings_deg.tolist()):
-        for turn in (-22.0, 0.0, 22.0, 360.0 - 22.0):
-            assert found.at(lat - down, lon + right, heading + turn) == found.sigma_m[k, 20, 30]
-            assert found.at(lat + down, lon - right - 360.0, heading + turn) == found.sigma_m[k, 20, 30]
-    assert math.isnan(found.at(float(found.lat_deg[0]) + 2.0 * down, lon, 0.0))
-    assert math.isnan(found.at(lat, float(found.lon_deg[0]) - 2.0 * right, 0.0))
+        for turn, around in ((0.0, 0.0), (360.0, -360.0), (-360.0, 360.0)):
+            assert found.at(lat, lon + around, heading + turn) == pytest.approx(found.sigma_m[k, 20, 30], rel=1e-5)
+        nearby = logs[[k, (k + 1) % 8]][:, 20:22, 30:32]
+        middle = math.exp(nearby.mean())
+        assert found.at(lat - 0.5 * down, lon + 0.5 * right, heading + 22.5) == pytest.approx(middle, rel=1e-5)
+    k, edge = 4, 0  # due south, along the northern edge: no leg there, but in the rows below
+    row = int(np.flatnonzero(np.isfinite(found.sigma_m[k, :, 30]))[0])
+    assert found.at(float(found.lat_deg[row]) + 0.4 * down, lon, 180.0) == pytest.approx(found.sigma_m[k, row, 30])
+    assert math.isnan(found.at(float(found.lat_deg[edge]), lon, 180.0))
+    assert math.isnan(found.at(float(found.lat_deg[0]) + 0.6 * down, lon, 0.0))
+    assert math.isnan(found.at(lat, float(found.lon_deg[0]) - 0.6 * right, 0.0))
     a, _, west, _, e, north = found.transform
     assert west + 30.5 * a == pytest.approx(lon, abs=1e-9)
     assert north + 20.5 * e == pytest.approx(lat, abs=1e-9)

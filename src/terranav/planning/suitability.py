@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,15 +174,26 @@ class Suitability:
         return np.where(np.isnan(self.best_m), np.nan, self.headings_deg[chosen])
 
     def at(self, lat_deg: float, lon_deg: float, heading_deg: float) -> float:
-        """`sigma_m` of the block at a place and of the heading nearest to one [m]; NaN off the blocks or without it."""
+        """1-sigma of a leg at a place on a heading [m], between blocks and headings; NaN off the blocks or without one.
+
+        The logarithm of `sigma_m` is interpolated linearly, over those of the nearest four blocks and two headings that
+        are known.
+        """
         row = (self.lat_deg[0] - lat_deg) / (self.lat_deg[0] - self.lat_deg[1])
-        col = (lon_deg - self.lon_deg[0] + 180.0) % 360.0 - 180.0
-        col /= self.lon_deg[1] - self.lon_deg[0]
-        i, k = math.floor(row + 0.5), math.floor(col + 0.5)
-        if not (0 <= i < self.lat_deg.size and 0 <= k < self.lon_deg.size):
+        east = (lon_deg - self.lon_deg[0] + 180.0) % 360.0 - 180.0
+        place = row, east / (self.lon_deg[1] - self.lon_deg[0]), heading_deg * self.headings_deg.size / 360.0
+        count, rows, cols = self.sigma_m.shape
+        if not (-0.5 <= place[0] <= rows - 0.5 and -0.5 <= place[1] <= cols - 0.5):
             return math.nan
-        count = self.headings_deg.size
-        return float(self.sigma_m[math.floor(heading_deg * count / 360.0 + 0.5) % count, i, k])
+        first = [math.floor(axis) for axis in place]
+        found = weight = 0.0
+        for step in product((0, 1), repeat=3):
+            i, k, turn = (low + more for low, more in zip(first, step, strict=True))
+            part = math.prod(1.0 - abs(axis - one) for axis, one in zip(place, (i, k, turn), strict=True))
+            sigma = float(self.sigma_m[turn % count, min(max(i, 0), rows - 1), min(max(k, 0), cols - 1)])
+            if sigma > 0.0:  # NaN is not
+                found, weight = found + part * math.log(sigma), weight + part
+        return math.exp(found / weight) if weight > 1e-9 else math.nan
 
     def share_within(self, limit_m: float) -> dict[str, float]:
         """Of the blocks with a leg, the share whose best, median and worst heading stays within a limit [m]."""

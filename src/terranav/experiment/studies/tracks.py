@@ -182,7 +182,7 @@ def drawn_tracks(source: MapSource, count: int, seed: int) -> Drawn:
     """The first `count` candidates on a map that meet the criteria in the head of this module."""
     chart = source.open()
     rng = np.random.default_rng(SeedSequence([seed, int(chart.checksum[:8], 16)]))
-    clear = _Clear(chart)
+    clear = Clear(chart)
     found: list[Track] = []
     for tried in range(1, CANDIDATES + 1):
         track = Track(f"{source.name}-{len(found) + 1:02d}", source, _candidate(chart, rng))
@@ -226,7 +226,7 @@ def _rough(track: Track) -> bool:
     return bool(np.sqrt(np.mean(north**2 + east**2)) >= LEAST_SLOPE)
 
 
-class _Clear:
+class Clear:
     """Criterion 1, for many legs over one map: counts voids in windows by sums over all cells above and left."""
 
     def __init__(self, chart: Map) -> None:
