@@ -51,10 +51,11 @@ def test_tables_hold_the_least_and_the_greatest_of_every_window(shape: tuple[int
     values = np.random.default_rng(2).normal(size=shape).astype(np.float32)
     if values.size > 100:
         values[3, 20:23] = np.nan
-    lows, highs, spans = tables_of(values)
+        values[1:7, 40:49] = np.nan
+    (lows, highs, somes), spans = tables_of(values)
     assert len(lows) == TOP + 1
     assert [int(block) for block in spans[:, 2]] == [2**level for level in range(TOP + 1)]
-    for low, high, (width, stride, block) in zip(lows, highs, spans):
+    for low, high, some, (width, stride, block) in zip(lows, highs, somes, spans):
         assert width >= block + 2
         for i in range(low.shape[0]):
             for j in range(low.shape[1]):
@@ -62,12 +63,17 @@ def test_tables_hold_the_least_and_the_greatest_of_every_window(shape: tuple[int
                 void = bool(np.isnan(window).any())
                 assert low[i, j] == (-np.inf if void else window.min())
                 assert high[i, j] == (np.inf if void else window.max())
+                assert some[i, j] == (not np.isnan(window).all())
 
 
-def test_no_block_is_excluded_that_holds_a_placement_within_the_limit() -> None:
+@pytest.mark.parametrize("voids", [False, True])
+def test_no_block_is_excluded_that_holds_a_placement_within_the_limit(voids: bool) -> None:
     rng = np.random.default_rng(3)
     values = np.cumsum(np.cumsum(rng.normal(size=(70, 80)), axis=0), axis=1).astype(np.float32)
-    lows, highs, spans = tables_of(values)
+    if voids:
+        values[10:40, 20:60] = np.nan
+        values[55, 11] = np.nan
+    tables, spans = tables_of(values)
     n = 20
     down, right = np.linspace(-12.0, 12.0, n), 8.0 * np.sin(np.arange(n))
     heights, weight = rng.normal(0.0, 30.0, n), np.full(n, 0.04)
@@ -88,10 +94,11 @@ def test_no_block_is_excluded_that_holds_a_placement_within_the_limit() -> None:
             ]
             if np.isfinite(min(inside)):
                 checked += 1
-                data = (heights, weight, 0.0, *values.shape)
+                data = (heights, weight, 0.0, *values.shape, 9.0)
                 span = (spans[level, 0], spans[level, 1], spans[level, 2])
                 limit = min(inside) * (1.0 + 1e-9)
-                assert not locating.excluded((lows[level], highs[level]), span, (i, j), ends, data, limit, low, high)[0]
+                own = (tables[0][level], tables[1][level], tables[2][level])
+                assert not locating.excluded(own, span, (i, j), ends, data, limit, low, high)[0]
     assert checked > 100
 
 

@@ -102,21 +102,23 @@ def excluded(tables, spans, node, ends, data, limit, low, high):
 
     Parameters
     ----------
-    tables : (lows, highs) of this level, (p, q) float32: least and greatest heights of the windows at every stride
+    tables : (lows, highs, somes) of this level, (p, q) float32, float32 and uint8
+        Least and greatest heights of the windows at every stride, infinite where one holds a void; and whether it
+        holds anything else.
     spans : (width, stride, block) of this level [cells]
     node : (row, column) of the block's first cell
     ends : four (k,) of whole numbers
         First row, last row less the block, first column, last column less the block, relative to the block's first
         cell, of what lies under each point.
-    data : (heights (k,), weights (k,), offset weight, rows, cols)
+    data : (heights (k,), weights (k,), offset weight, rows, cols, void_cost)
     low, high : (k,) float64
         Room to work in.
     """
-    lows, highs = tables
+    lows, highs, somes = tables
     width, stride, block = spans
-    heights, weight, offset_weight, rows, cols = data
+    heights, weight, offset_weight, rows, cols, void_cost = data
     total = heights.size
-    done = 0
+    done, left = 0, limit  # of the limit, once what lies on voids for certain has its cost
     for stage in range(len(STAGES) + 1):
         upto = min(STAGES[stage], total) if stage < len(STAGES) else total
         for k in range(done, upto):
@@ -137,7 +139,9 @@ def excluded(tables, spans, node, ends, data, limit, low, high):
                 if r2 != r:
                     least, most = min(least, lows[r2, c2]), max(most, highs[r2, c2])
             low[k], high[k] = heights[k] - most, heights[k] - least
-        if exceeds(low, high, weight, upto, offset_weight, limit):
+            if least == -np.inf and not (somes[r, c] or somes[r2, c] or somes[r, c2] or somes[r2, c2]):
+                left -= void_cost
+        if left < 0.0 or exceeds(low, high, weight, upto, offset_weight, left):
             return True, upto
         done = upto
         if upto == total:
@@ -222,20 +226,20 @@ def lie(points, mids, halves, frame, corners, ends, places):
 
 
 @jit
-def search(values, lows, highs, spans, shapes, ends, places, data, region, limits, found, counts):
+def search(values, tables, spans, shapes, ends, places, data, region, limits, found, counts):
     """Depth first over the blocks of one region of the map; what is not excluded is kept with its middle's misfit.
 
     Parameters
     ----------
     values : (rows, cols) float32
-    lows, highs : tuples of (p, q) float32, a level each, the finest first
+    tables : three tuples of (p, q) arrays, a level each, the finest first, as in `excluded`
     spans : (levels, 3) int64: width and stride of the windows, and the block, of each level [cells]
     shapes : (levels, 2) int64
         At which row of `ends` each level's headings and scales begin, and how many there are; those of a level divide
         the ones of the next coarser level, in their order.
     ends : (4, all shapes, k) int32, as in `excluded`
     places : (2, finest shapes, k) float64: the points relative to the middle of the track [cells]
-    data : as in `excluded`, and void_cost
+    data : as in `excluded`
     region : first row, past row, first column, past column of the middle of the track
     limits : (3,) float64: limit, margin above the best, and the best misfit of a middle: read and written
     found : (most, 4) float64: row, column, number of the shape, misfit of its middle
@@ -246,7 +250,8 @@ def search(values, lows, highs, spans, shapes, ends, places, data, region, limit
     bool
         False if there was no room for all that was to be kept.
     """
-    heights, weight, offset_weight, rows, cols, void_cost = data
+    heights, weight, offset_weight, _, _, void_cost = data
+    lows, highs, somes = tables
     low, high = np.empty(heights.size), np.empty(heights.size)
     top = len(lows) - 1
     room = shapes[top, 1] + 4
@@ -264,11 +269,11 @@ def search(values, lows, highs, spans, shapes, ends, places, data, region, limit
                 level, h, i, j = stack[size]
                 at = shapes[level, 0] + h
                 gone, looked = excluded(
-                    (lows[level], highs[level]),
+                    (lows[level], highs[level], somes[level]),
                     (spans[level, 0], spans[level, 1], spans[level, 2]),
                     (i, j),
                     (ends[0, at], ends[1, at], ends[2, at], ends[3, at]),
-                    (heights, weight, offset_weight, rows, cols),
+                    data,
                     limits[0],
                     low,
                     high,

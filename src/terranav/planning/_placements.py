@@ -39,8 +39,7 @@ class Search:
     void_cost: float
     half: float  # of the heading range [rad]
     stretch: float  # of the range of scales
-    lows: tuple[NDArray[np.float32], ...]
-    highs: tuple[NDArray[np.float32], ...]
+    tables: tuple[Any, Any, Any]  # least and greatest heights of windows and whether they hold any, a level each
     spans: IntArray
     shapes: IntArray  # (levels, 2) where each level's begin, and how many
     mids: FloatArray  # (shapes, 2) heading [rad] and factor
@@ -128,25 +127,30 @@ def _parts(sweep_cells: float, level: int) -> int:
     return int(2 ** math.ceil(math.log2(max(wanted, 1.0))))
 
 
-def tables_of(values: NDArray[np.float32]) -> tuple[Any, Any, IntArray]:
-    """Least and greatest heights of windows for blocks of 1, 2, 4 ... cells; a void makes a window unknown."""
+def tables_of(values: NDArray[np.float32]) -> tuple[tuple[Any, Any, Any], IntArray]:
+    """Least and greatest heights of windows for blocks of 1, 2, 4 ... cells, and whether they hold anything but voids.
+
+    A void makes a window unknown.
+    """
     low, high = np.where(np.isnan(values), -np.inf, values), np.where(np.isnan(values), np.inf, values)
     low, high = (
         _wider(_wider(low, 1, 1, np.minimum), 1, 1, np.minimum),
         _wider(_wider(high, 1, 1, np.maximum), 1, 1, np.maximum),
     )
-    lows, highs, spans = [low], [high], [(3, 1, 1)]
+    some = _wider(_wider((~np.isnan(values)).view(np.uint8), 1, 1, np.maximum), 1, 1, np.maximum)
+    lows, highs, somes, spans = [low], [high], [some], [(3, 1, 1)]
     for level in range(1, TOP + 1):
         width, stride, block = spans[-1]
         step = (1, 2)[level - 1] if level < 3 else (width - 1) // stride
         thin = 1 if level < 3 else 2
         lows.append(_wider(lows[-1], step, thin, np.minimum))
         highs.append(_wider(highs[-1], step, thin, np.maximum))
+        somes.append(_wider(somes[-1], step, thin, np.maximum))
         spans.append((width + step * stride, stride * thin, 2 * block))
-    return tuple(lows), tuple(highs), np.array(spans, dtype=np.int64)
+    return (tuple(lows), tuple(highs), tuple(somes)), np.array(spans, dtype=np.int64)
 
 
-def _wider(table: NDArray[np.float32], step: int, thin: int, better: Any) -> NDArray[np.float32]:
+def _wider(table: NDArray[Any], step: int, thin: int, better: Any) -> NDArray[Any]:
     """Each window joined with the one `step` further on, along both axes; every `thin`-th one kept."""
     out = table[::thin].copy()
     part = table[step::thin]
@@ -213,7 +217,7 @@ def searched(
         if size * len(regions) <= SHAPE_BYTES:
             work.kept[region] = (ends, places)
         complete = locating.search(
-            work.values, work.lows, work.highs, work.spans, work.shapes, ends, places,
+            work.values, work.tables, work.spans, work.shapes, ends, places,
             (work.height, weight, work.offset_weight, rows, cols, work.void_cost), region, limits, found, work.counts,
         )  # fmt: skip
         if not complete:

@@ -265,11 +265,11 @@ def _prepared(track: Track, chart: Map, settings: LocateSettings) -> Search:
         raise DataError(f"the track reaches {2 * reach:.0f} cells, expected less than the map {chart.name} is wide")
     half = math.radians(settings.heading_deg)
     told = shapes_of(half, settings.scale, reach)
-    lows, highs, spans = tables_of(values)
+    tables, spans = tables_of(values)
     return Search(
         chart, values, points, along[order], height[order], np.full(order.size, 1.0 / variance),
         settings.offset_sigma**-2.0, 1.0 + math.log1p(float(np.nanvar(values.astype(np.float64))) / variance),
-        half, settings.scale, lows, highs, spans, told.begins, told.mids, told.halves, told.parts,
+        half, settings.scale, tables, spans, told.begins, told.mids, told.halves, told.parts,
     )  # fmt: skip
 
 
