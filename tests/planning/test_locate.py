@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import terranav as tn
 from terranav.core.earth import offset_m, shift
 from terranav.core.errors import ConfigError, DataError
 from terranav.kernels import locating
@@ -277,3 +279,40 @@ def test_short_and_too_long_tracks_are_refused() -> None:
         Track(LINE[:7], LINE[:7], LINE[:7], 1.0)
     with pytest.raises(DataError, match="track reaches"):
         locate(Track(1e6 * LINE, 0.0 * LINE, LINE, 1.0), rough(21))
+
+
+def test_a_map_that_is_mostly_void_is_searched_to_the_end() -> None:
+    """Placements on voids fit nothing: they cost what voids cost, in the bound of their blocks too."""
+    small = rough()
+    track, lat, lon = flown(small, 1)
+    values = np.full((400, 400), np.nan, dtype=np.float32)
+    values[200:321, 150:271] = small.values
+    a, _, west, _, e, north = small.transform
+    wide = Map(values, (a, 0.0, west - 150 * a, 0.0, e, north - 200 * e), sigma=1.0)
+    found = locate(track, wide)
+    best = found.candidates[0]
+    assert found.complete
+    assert found.verdict == "found"
+    assert np.hypot(*offset_m(lat[-1], lon[-1], best.lat_deg, best.lon_deg)) < 0.5 * CELL_M
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_real_land_anywhere_on_a_tile(shared_data: Path, seed: int) -> None:
+    """15 km, altimeter 5 m, heading known to 2 degrees and lengths to 1 %: 1.4 million places for the middle alone."""
+    tile = tn.open_map(shared_data / "srtm" / "N48E010.hgt", sigma=3.0)
+    rng = np.random.default_rng(400 + seed)
+    along = np.arange(0.0, 15_000.0, 60.0)
+    bearing, turn = (0.4, 3.9)[seed], math.radians((-1.6, 1.1)[seed])
+    lat, lon = shift((48.2, 48.8)[seed], 10.4, along * math.cos(bearing), along * math.sin(bearing))
+    height = tile.sample(lat, lon) - 20.0 + 5.0 * rng.standard_normal(along.size)
+    shown = along / (1.006, 0.992)[seed]
+    track = Track(shown * math.cos(bearing - turn), shown * math.sin(bearing - turn), height, 5.0)
+    found = locate(track, tile, LocateSettings(heading_deg=2.0, scale=0.01))
+    best = found.candidates[0]
+    assert found.verdict == "found"
+    assert found.tail < 1e-3
+    assert np.hypot(*offset_m(lat[-1], lon[-1], best.lat_deg, best.lon_deg)) < min(
+        4.0 * best.sigma_m, 2.0 * tile.cell_m
+    )
+    assert best.heading_deg == pytest.approx(math.degrees(turn), abs=0.5)
+    assert found.share < 0.01
