@@ -42,10 +42,14 @@ def read_raster(file: Path, variable: str | int | None) -> Grid:
     def read(window: Window, factor: float, *, keep: bool = False) -> NDArray[np.float32]:
         with _kept(file) if keep else _opened(file) as again:
 
-            def part(row: int, past: int) -> NDArray[np.float64]:
+            def part(row: int, past: int) -> NDArray[np.floating[Any]]:
                 rows = ((row, past), window[1])
                 raw = again.read(band, window=rows)
-                values: NDArray[np.float64] = raw.astype(np.float64) * scale + offset
+                values: NDArray[np.floating[Any]]
+                if scale == 1.0 and offset == 0.0:
+                    values = raw.astype(np.float32 if np.can_cast(raw.dtype, np.float32) else np.float64)
+                else:
+                    values = raw.astype(np.float64) * scale + offset
                 values[_void(again, band, rows, raw)] = np.nan
                 return values
 

@@ -83,7 +83,8 @@ def in_strips(window: Window, part: Callable[[int, int], NDArray[Any]], factor: 
     step = max(STRIP_CELLS // (east - west), 1)
     for row in range(first, last, step):
         past = min(row + step, last)
-        out[row - first : past - first] = part(row, past) * factor
+        values = part(row, past)
+        out[row - first : past - first] = values if factor == 1.0 else values * np.float64(factor)
     return out
 
 
