@@ -96,10 +96,9 @@ def test_readings_come_back_and_out_of_range_is_no_reading(log: Log, made: Fligh
 
 def test_terrain_is_altitude_less_clearance_where_the_datum_is_known(log: Log, made: Flight) -> None:
     columns, made = log.recording.columns, made.first(len(log.recording))
-    if log.facts["series"]["own"]["height"] == "above the WGS-84 ellipsoid":
-        assert "terrain_m" not in columns
-        assert any("ellipsoid" in line for line in log.remarks)
-        return
+    by_ellipsoid = log.facts["series"]["own"]["height"] == "above the WGS-84 ellipsoid"
+    assert log.recording.datum_of("terrain_m") == ("ellipsoid" if by_ellipsoid else "mean sea level")
+    assert any("needs a geoid grid" in line for line in log.remarks) == by_ellipsoid
     there = np.isfinite(columns["laser_altitude_m"])
     np.testing.assert_array_equal(np.isfinite(columns["terrain_m"]), there)
     np.testing.assert_allclose(columns["terrain_m"][there], made.ground_m[there], atol=0.03)

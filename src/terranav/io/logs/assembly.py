@@ -5,7 +5,8 @@
 - Velocity and attitude are interpolated likewise; a reading of a sensor stays as it was measured and goes to the epoch
   nearest in time, one of a kind an epoch.
 - The barometer is set to the height of the starting place, as before take-off; nothing corrects it afterwards.
-- terrain_m = altitude - clearance, where both count from the sea level: the barometer's altitude, else the indicated.
+- terrain_m = altitude - clearance, the altitude the barometer's, else the indicated; it counts from what the altitude
+  counts from, which the recording names, and is not made where the log does not tell.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from terranav.core.recording import (
 )
 from terranav.io.logs.clocks import median_around, one_run
 from terranav.io.logs.facts import facts_of, remarks_of
-from terranav.io.logs.found import NO_HEIGHT, POSITION, SEA_LEVEL, Found, Series
+from terranav.io.logs.found import DATUMS, NO_HEIGHT, POSITION, Found, Series
 
 #: the barometer is set to the indicated altitude over so many seconds from the start [s]
 SETTING_S = 5.0
@@ -97,10 +98,18 @@ def assembled(found: Found, rate_hz: float) -> Log:
     if "start_utc" in facts:
         source["start_utc"] = facts["start_utc"]
     try:
-        recording = Recording(columns, source=source, name=found.path.stem or found.path.name)
+        name = found.path.stem or found.path.name
+        recording = Recording(columns, source=source, name=name, datum=_datum(base, columns))
     except DataError as problem:
         raise DataError(f"{found.path}: {problem}") from None
     return Log(recording, facts, remarks)
+
+
+def _datum(base: Series, columns: dict[str, FloatArray]) -> dict[str, str]:
+    """What the heights count from; depths count from the water, whose level no log tells."""
+    if base.height not in DATUMS:
+        return {}
+    return {"all": DATUMS[base.height]} | ({"depth_m": "unknown"} if "depth_m" in columns else {})
 
 
 def _placed(part: Series) -> NDArray[np.bool_]:
@@ -232,8 +241,8 @@ def _set_barometer(columns: dict[str, FloatArray], base: Series, by_role: dict[s
 
 
 def _add_terrain(columns: dict[str, FloatArray], base: Series) -> None:
-    """Add terrain_m and its sigma where an altitude above the sea level goes with a clearance."""
-    if base.height != SEA_LEVEL or not any(name in columns for name in _READINGS.values()):
+    """Add terrain_m and its sigma where an altitude of a known datum goes with a clearance."""
+    if base.height not in DATUMS or not any(name in columns for name in _READINGS.values()):
         return
     clearance, sigma = _clearance(columns)
     if not np.isfinite(clearance).any():

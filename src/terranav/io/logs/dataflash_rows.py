@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terranav.io.logs.raw import GIVE_UP_BYTES, library, mapped
+from terranav.io.logs.raw import GIVE_UP_BYTES, SPARE_BYTES, library, mapped
 
 _HEAD = b"\xa3\x95"
 _FMT, _FMT_BYTES = 0x80, 89
@@ -101,7 +101,7 @@ def _walk(data: mmap.mmap, reader: Any, rows: Rows) -> tuple[dict[str, Any], dic
         rows.damaged += after - at
         at = after
     rows.damaged -= at - last_good if at > last_good else 0
-    if any(data[last_good : last_good + 1024]):
+    if size - last_good > SPARE_BYTES or any(data[last_good:size]):
         rows.unread = size - last_good
     else:
         rows.zeros = size - last_good

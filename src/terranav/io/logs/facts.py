@@ -10,7 +10,7 @@ import numpy as np
 
 from terranav.core.earth import offset_m
 from terranav.core.recording import ATTITUDE, RAW, READY, TRUTH, VELOCITY, FloatArray
-from terranav.io.logs.found import NO_HEIGHT, SEA_LEVEL, Found, Series
+from terranav.io.logs.found import DATUMS, NO_HEIGHT, SEA_LEVEL, Found, Series
 
 #: a series has a gap where its rows are further apart than this or five times the usual step, whichever is more [s]
 GAP_S = 1.0
@@ -237,7 +237,8 @@ def remarks_of(facts: Mapping[str, Any]) -> Iterator[str]:
     if height == NO_HEIGHT:
         yield "no altitude is logged: alt_m is 0"
     elif height != SEA_LEVEL:
-        yield f"altitudes count {height or 'from an unknown level'}: they need the map's datum; terrain_m was not made"
+        then = "a map above the sea needs a geoid grid to go with it" if height in DATUMS else "terrain_m was not made"
+        yield f"altitudes count {height or 'from an unknown level'}: {then}"
 
 
 def _altimeter_told(role: str, facts: Mapping[str, Any]) -> str:

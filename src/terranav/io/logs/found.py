@@ -43,6 +43,8 @@ SEA_LEVEL = "above mean sea level"
 ELLIPSOID = "above the WGS-84 ellipsoid"
 TAKE_OFF = "above the place where the barometer was set"
 PRESSURE = "pressure altitude of the standard atmosphere"
+#: height reference -> the vertical datum it is, in the words of terranav.maps.datum
+DATUMS = {SEA_LEVEL: "mean sea level", ELLIPSOID: "ellipsoid"}
 NO_HEIGHT = "no height logged: 0 m stands for it"
 #: standard atmosphere (ICAO Doc 7488): altitude = _ISA_M (1 - (p / 1013.25 hPa) ^ _ISA_POWER)
 _ISA_M, _ISA_POWER, _ISA_HPA = 44330.77, 0.190263, 1013.25

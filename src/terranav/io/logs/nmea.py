@@ -15,7 +15,9 @@ import mmap
 import re
 from collections.abc import Iterator
 from datetime import UTC, date, datetime, time
+from functools import reduce
 from itertools import islice
+from operator import xor
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +26,15 @@ import numpy as np
 from terranav.core.errors import DataError
 from terranav.core.recording import FloatArray
 from terranav.io.logs.found import NO_HEIGHT, SEA_LEVEL, Found, Series, series, velocity_from_course
-from terranav.io.logs.raw import library, mapped
+from terranav.io.logs.raw import GIVE_UP_BYTES, library, mapped
 
 _KN_MPS = 1852.0 / 3600.0
 _DAY_S = 86400.0
 _SENTENCE = re.compile(
     rb"\$(?:[A-Z]{2}(?:GGA|GNS|RMC|ZDA|HDT|THS|DPT|DBT)|PASHR),[\x20-\x7e]{0,120}?(?:\*[0-9A-Fa-f]{2}|\Z)", re.ASCII
 )
-#: a sentence of another kind, or a line of text that is none
-_OTHER = re.compile(rb"\A[\t\x20-\x23\x25-\x7e]*(?:[$!][\x20-\x7e]*\*[0-9A-Fa-f]{2}[\t\x20-\x7e]*)?\Z")
+#: a sentence of another kind, a line of text that is none, or nothing but zeros
+_OTHER = re.compile(rb"\A\0*\Z|\A[\t\x20-\x23\x25-\x7e]*(?:[$!][\x20-\x7e]*\*[0-9A-Fa-f]{2}[\t\x20-\x7e]*)?\Z")
 _LINE = re.compile(rb"[^\r\n]{1,4096}")
 #: GGA quality of a position that a receiver measured
 _MEASURED = (1, 2, 3, 4, 5, 9)
@@ -46,7 +48,7 @@ class _Sentences:
         self.rows: dict[str, list[tuple[float, ...]]] = {}
         self.stamps: list[tuple[int, float]] = []
         self.first_date: date | None = None
-        self.bad = 0
+        self.bad = self.last_good = self.unread = 0
 
     def take(self, at: int, parsed: Any) -> None:
         """Keep what one sentence says."""
@@ -96,13 +98,15 @@ def read(path: Path) -> Found:
     if not places.size:
         raise DataError(f"{path}: no NMEA sentence with a time (GGA, GNS, RMC) is whole")
     remarks = [f"{found.bad} damaged sentences were left out"] if found.bad else []
+    if found.unread:
+        remarks.append(f"the file is damaged: its last {found.unread} bytes hold no sentence that is read")
     if zeros:
         remarks.append(f"the last {zeros} bytes of the file are zero and were not read")
     parts = [part for part in _parts(found, places, times, remarks) if part is not None and len(part)]
     start = datetime.combine(found.first_date, time(), UTC) if found.first_date else None
     if start is None:
         remarks.append("no date is logged (RMC, ZDA): times are times of day")
-    return Found(path, "NMEA 0183 text", parts, {}, start, remarks, not remarks or not (found.bad or zeros))
+    return Found(path, "NMEA 0183 text", parts, {}, start, remarks, not found.bad)
 
 
 def _parsed(data: mmap.mmap, path: Path) -> _Sentences:
@@ -114,11 +118,16 @@ def _parsed(data: mmap.mmap, path: Path) -> _Sentences:
         match = _SENTENCE.search(line.group())
         if match is None or (checked and b"*" not in match.group()):
             found.bad += not _OTHER.search(line.group()) or match is not None
+            if line.start() - found.last_good > GIVE_UP_BYTES:
+                found.unread = len(data) - found.last_good
+                break
             continue
         at, text = line.start(), match.group()
         try:
-            parsed = reader.NMEAReader.parse(text.strip() + b"\r\n", validate=1 if checked else 0)
+            whole = text if checked else text.rstrip() + b"*%02X" % reduce(xor, text.rstrip()[1:])
+            parsed = reader.NMEAReader.parse(whole + b"\r\n")
             found.take(at, parsed)
+            found.last_good = at
         except Exception:  # noqa: BLE001 - pynmeagps raises what the damaged text leads it to
             found.bad += 1
     return found

@@ -15,6 +15,9 @@ from terranav.core.errors import ConfigError, DataError
 #: after so many bytes without a whole message the rest of a file is not read
 GIVE_UP_BYTES = 64 << 20
 _BLOCK = 1 << 20
+_ZEROS = bytes(_BLOCK)
+#: so many zeros at the end of a file may belong to its last message
+SPARE_BYTES = 512
 
 
 def library(module: str, path: Path, what: str) -> Any:
@@ -35,8 +38,7 @@ def mapped(path: Path) -> Iterator[tuple[mmap.mmap, int]]:
             end = _end(stream, size)
             if end == 0:
                 raise DataError(f"{path}: all of its {size} bytes are zero, expected a log")
-            # a few zeros may belong to the last message
-            end = min(size, end + 512)
+            end = min(size, end + SPARE_BYTES)
             data = mmap.mmap(stream.fileno(), end, access=mmap.ACCESS_READ)
     except OSError as problem:
         raise DataError(f"{path}: cannot be read ({problem.strerror or problem}), expected a log") from None
@@ -52,9 +54,9 @@ def _end(stream: Any, size: int) -> int:
     while end > 0:
         start = max(0, end - _BLOCK)
         stream.seek(start)
-        kept = stream.read(end - start).rstrip(b"\0")
-        if kept:
-            return start + len(kept)
+        block = stream.read(end - start)
+        if block != _ZEROS[: len(block)]:
+            return start + len(block.rstrip(b"\0"))
         end = start
     return 0
 

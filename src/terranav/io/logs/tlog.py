@@ -34,7 +34,7 @@ from terranav.core.errors import DataError
 from terranav.core.recording import FloatArray
 from terranav.io.logs.found import PRESSURE, SEA_LEVEL, Found, Series, pressure_altitude_m, series, velocity_from_course
 from terranav.io.logs.opening import STAMPS_US, frame_bytes
-from terranav.io.logs.raw import GIVE_UP_BYTES, library, mapped
+from terranav.io.logs.raw import GIVE_UP_BYTES, SPARE_BYTES, library, mapped
 
 #: message -> its number and the fields that are read, the boot clock's first
 _FIELDS: dict[str, tuple[int, tuple[str, ...]]] = {
@@ -141,10 +141,11 @@ class _Walk:
                     at += length
                     last_good = at
                     continue
-            if at - last_good > GIVE_UP_BYTES:
+            found_stamp = _STAMP.search(data, at + 1, min(size, last_good + GIVE_UP_BYTES))
+            if found_stamp is None:
                 break
-            at = self._next(at + 1, size)
-        if any(data[last_good : last_good + 1024]):
+            at = found_stamp.start()
+        if size - last_good > SPARE_BYTES or any(data[last_good:size]):
             self.unread = size - last_good
         else:
             self.zeros = size - last_good
@@ -157,11 +158,6 @@ class _Walk:
     def _follows(self, at: int, size: int) -> bool:
         """Whether another stamp and frame can begin here: so it looks, or the file ends."""
         return at + 9 > size or self.data[at + 8] in (0xFD, 0xFE) or not any(self.data[at : at + 9])
-
-    def _next(self, at: int, size: int) -> int:
-        """The next place where a stamp can begin."""
-        found = _STAMP.search(self.data, at)
-        return size if found is None else int(found.start())
 
     def _decoded(self, at: int, length: int) -> tuple[int, str, list[float]] | None:
         """System, name and row of the message here; an empty name for one not wanted, None for damage."""
