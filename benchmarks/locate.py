@@ -4,8 +4,9 @@
     python -m benchmarks.locate --growth [--runs 20]
 
 The map is the block of four SRTM tiles beside the checkout (or in the folder that TERRANAV_SHARED names), 2401 x 2401
-cells of 3 arcsec. A run draws a straight track anywhere on it, its heading and scale errors evenly within what is told, and an unknown height offset; readings every 60 m have noise of 5 m, and the map an error of 3 m correlated over
-2.5 cells along the track. Ground goes by the spread of the heights under the track about a straight line: rough above
+cells of 3 arcsec. A run draws a straight track anywhere on it, its heading and scale errors evenly within what is told,
+and an unknown height offset; readings every 60 m have noise of 5 m, and the map an error of 3 m correlated over 2.5
+cells along the track. Ground goes by the spread of the heights under the track about a straight line: rough above
 40 m, flat below 5 m, middling between. Right: the track's end within two cells. One thread.
 """
 
@@ -54,7 +55,7 @@ class World:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One run: error of the track's end [m], how it was told, time by the clock and of the processor [s], and the work done."""
+    """One run: error of the track's end [m], how it was told, time by the clock and of the processor [s], and work."""
 
     seed: int
     error_m: float

@@ -107,6 +107,7 @@ def test_lines_for_people(flight: Flight, tmp_path: Path, capsys: pytest.Capture
     printed = capsys.readouterr().out
     assert "on the best heading over" in printed
     assert "suitability.png" in printed
+    assert "a quarter of a cell, expect more than is told here" in " ".join(printed.split())
 
 
 @pytest.mark.parametrize(

@@ -205,7 +205,8 @@ def rank(rivals: Rivals, window: Window, chart: Map, readings: int) -> float:
     nodes, distance = _lattice()
     far = nodes.T[distance > NEAR][::RANKED] * rivals.spacing_m
     reach = 1.5 * rivals.reach_m + float(np.abs(rows[:, CENTRE]).max())
-    land = chart.around(*rows[:, PLACE].T, max(reach, chart.cell_m))
+    lat_deg, lon_deg = rows[:, PLACE].T
+    land = chart.around(lat_deg, lon_deg, max(reach, chart.cell_m))
     at = [land.local_frame(lat, lon, max(reach, chart.cell_m)) for lat, lon in rows[:, PLACE]]
     frames = np.array([(frame.row, frame.col) for frame in at])
     found = np.empty(1 + len(far))

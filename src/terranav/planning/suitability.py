@@ -44,6 +44,7 @@ FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 MOST_STEPS = 20_000  # of one leg
+TRUSTED_CELLS = 0.25
 CHUNK = 200_000  # readings looked up at a time
 
 
@@ -138,6 +139,11 @@ class Suitability:
     self_similarity: Float32Array
     settings: LegSettings
     ins: InsGrade
+
+    @property
+    def trusted_m(self) -> float:
+        """A quarter of a cell [m]: the bound takes the ground for a plane over the error, which it is not beyond."""
+        return TRUSTED_CELLS * self.block_m / self.settings.block
 
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:

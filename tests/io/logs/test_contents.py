@@ -83,6 +83,18 @@ def test_an_estimate_without_gnss_is_told_apart(file: Path) -> None:
     assert not any("no INS without GNSS" in line for line in log.remarks)
 
 
+def test_of_several_filter_cores_the_one_that_steered_is_read(file: Path) -> None:
+    pymavlink()
+
+    def rows(i: int, t: int) -> list[tuple[Any, ...]]:
+        cores = [("XKF1", t, core, 0, 0, 45.0, 10.0 + core, 0.0, 0.0, *[0.0] * 8) for core in (0, 1)]
+        return [*cores, ("XKF4", t, 0, 0, 0, 0, 0, 0, 0.0, 0, 0, 0, 0, 1 << 13, 0, 1 if i > 20 else 0)]
+
+    log = opened(file, plain(flight(20.0), rows, ["XKF1", "XKF4"]))
+    np.testing.assert_allclose(log.recording.columns["vn_mps"], 11.0)
+    assert log.facts["series"]["velocity"]["rows"] == 200
+
+
 def test_without_an_own_position_the_barometer_holds_the_altitude(file: Path) -> None:
     pymavlink()
     made = flight(20.0)

@@ -39,7 +39,7 @@ from terranav.experiment.studies.study import CaseRuns, Plan, Report, Setup, Stu
 from terranav.experiment.studies.tracks import CANDIDATES, INS, MATCHED, REACH_SIGMAS, SENSOR_SIGMA_M, Clear, Leg, Track
 from terranav.experiment.studies.world import flown
 from terranav.planning.bound import bound
-from terranav.planning.suitability import LegSettings, Suitability, suitability
+from terranav.planning.suitability import TRUSTED_CELLS, LegSettings, Suitability, suitability
 
 FloatArray = NDArray[np.float64]
 
@@ -50,7 +50,6 @@ SETTINGS = LegSettings(SENSOR_SIGMA_M, 1.0 / INTERVAL_S, SPEED_MPS, DISTANCE_M, 
 AGREES = 0.25  # largest difference of the RMSE from what was promised, as a share of that
 ASKED_SHARE, ASKED_LEGS, ASKED_MAPS = 0.90, 40, 4
 FAR_SIGMAS = 5.0  # of the leg's bound: beyond them a run has found another place, or none
-TRUSTED_CELLS = 0.25  # as in `studies.tracks`
 EFFICIENCY = 1.10  # of the navigator: median of RMSE over bound by the study `bound`, over other tracks
 
 

@@ -99,17 +99,28 @@ def _series(role: str, source: str, table: Table, values: dict[str, Any], **more
 
 
 def _first(tables: dict[str, Table], *columns: str, names: tuple[str, ...]) -> tuple[str, Table] | None:
-    """The first of these tables that has the columns, its first instance only (I, C or Instance)."""
+    """The first of these tables with the columns, one instance: of a filter (C) the primary core, else the first."""
     for name in names:
         table = tables.get(name)
         if table is None or not all(column in table and table[column].dtype.kind in "iuf" for column in columns):
             continue
         key = next((key for key in ("C", "I", "Instance") if key in table), None)
         if key is not None:
-            rows = table[key] == table[key].min()
+            present = np.unique(table[key]).tolist()
+            primary = _primary_core(tables) if key == "C" else None
+            rows = table[key] == (primary if primary in present else present[0])
             table = {column: values[rows] for column, values in table.items()}
         return name, table
     return None
+
+
+def _primary_core(tables: dict[str, Table]) -> int | None:
+    """The core of the filter that steered for most of the log (PI of XKF4), None where that is not logged."""
+    table = tables.get("XKF4", tables.get("NKF4", {}))
+    if "PI" not in table or table["PI"].dtype.kind not in "iu":
+        return None
+    cores, counts = np.unique(table["PI"], return_counts=True)
+    return int(cores[counts.argmax()])
 
 
 def _gnss(tables: dict[str, Table]) -> Series | None:
