@@ -20,6 +20,7 @@ from terranav.app.commands.demo import demo
 from terranav.app.commands.estimators import estimators
 from terranav.app.commands.locate import locate
 from terranav.app.commands.reproduce import reproduce
+from terranav.app.commands.route import route
 from terranav.app.commands.run import run
 from terranav.app.commands.simulate import simulate
 from terranav.app.commands.study import study
@@ -39,6 +40,7 @@ app = typer.Typer(
 for command in (demo, run, compare, simulate, convert, cue, locate, campaign, study, bench):
     app.command()(command)
 app.add_typer(maps.app, name="map")
+plan.app.command()(route)
 app.add_typer(plan.app, name="plan")
 app.command()(reproduce)
 app.command()(estimators)

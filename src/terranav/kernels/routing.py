@@ -17,7 +17,6 @@ from heapq import heappop, heappush
 import numpy as np
 
 from terranav.kernels.jit import jit
-from terranav.kernels.matrices import congruent
 
 BIN = 0.01  # of the largest 1-sigma beyond the limit
 FOUND, NONE, FULL = 0, 1, 2  # how a search ended
@@ -69,49 +68,56 @@ def edge_information(readings, patch_sigma, keep, out):
 
 
 @jit
-def _advance(cov, phi, q, info, work, out):
-    """out = the covariance after an edge: moved by (phi, q), then told `info` of the first two states and the last."""
+def _propagate(cov, phi, q, half, out):
+    """out = phi cov phi' + q; zeros of phi, of which there are many, cost nothing."""
     d = len(cov)
-    congruent(phi, cov, out)
     for i in range(d):
         for k in range(d):
-            out[i, k] += q[i, k]
-    at = (0, 1, d - 1)
-    j = ((info[0], info[1], info[2]), (info[1], info[3], info[4]), (info[2], info[4], info[5]))
-    m = np.empty((3, 3))  # I + J S, S the three states' covariance
-    for a in range(3):
-        for b in range(3):
-            m[a, b] = 1.0 if a == b else 0.0
-            for c in range(3):
-                m[a, b] += j[a][c] * out[at[c], at[b]]
-    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
-    c01 = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
-    c02 = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]
-    det = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
-    inv = np.empty((3, 3))
-    inv[0, 0], inv[1, 0], inv[2, 0] = c00 / det, c01 / det, c02 / det
-    inv[0, 1] = (m[0, 2] * m[2, 1] - m[0, 1] * m[2, 2]) / det
-    inv[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[2, 0]) / det
-    inv[2, 1] = (m[0, 1] * m[2, 0] - m[0, 0] * m[2, 1]) / det
-    inv[0, 2] = (m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]) / det
-    inv[1, 2] = (m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]) / det
-    inv[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) / det
-    w = np.empty((3, 3))  # (I + J S)^-1 J, symmetric
-    for a in range(3):
-        for b in range(3):
-            w[a, b] = 0.0
-            for c in range(3):
-                w[a, b] += inv[a, c] * j[c][b]
-    for i in range(d):
-        for a in range(3):
-            work[i, a] = out[i, 0] * w[0, a] + out[i, 1] * w[1, a] + out[i, d - 1] * w[2, a]
-    s = np.empty((d, 3))
-    for i in range(d):
-        for a in range(3):
-            s[i, a] = out[i, at[a]]
+            half[i, k] = 0.0
+        for m in range(d):
+            factor = phi[i, m]
+            if factor != 0.0:
+                for k in range(d):
+                    half[i, k] += factor * cov[m, k]
     for i in range(d):
         for k in range(i + 1):
-            out[i, k] -= work[i, 0] * s[k, 0] + work[i, 1] * s[k, 1] + work[i, 2] * s[k, 2]
+            total = q[i, k]
+            for m in range(d):
+                if phi[k, m] != 0.0:
+                    total += half[i, m] * phi[k, m]
+            out[i, k] = out[k, i] = total
+
+
+@jit
+def _advance(cov, phi, q, info, half, work, out):
+    """out = the covariance after an edge: moved by (phi, q), then told `info` of the first two states and the last."""
+    d = len(cov)
+    _propagate(cov, phi, q, half, out)
+    s00, s01, s02 = out[0, 0], out[0, 1], out[0, d - 1]
+    s11, s12, s22 = out[1, 1], out[1, d - 1], out[d - 1, d - 1]
+    nn, ne, nb, ee, eb, bb = info[0], info[1], info[2], info[3], info[4], info[5]
+    m00, m01, m02 = 1.0 + nn * s00 + ne * s01 + nb * s02, nn * s01 + ne * s11 + nb * s12, nn * s02 + ne * s12 + nb * s22
+    m10, m11, m12 = ne * s00 + ee * s01 + eb * s02, 1.0 + ne * s01 + ee * s11 + eb * s12, ne * s02 + ee * s12 + eb * s22
+    m20, m21, m22 = nb * s00 + eb * s01 + bb * s02, nb * s01 + eb * s11 + bb * s12, 1.0 + nb * s02 + eb * s12 + bb * s22
+    c00, c10, c20 = m11 * m22 - m12 * m21, m12 * m20 - m10 * m22, m10 * m21 - m11 * m20  # of I + J S, S the three's
+    c01, c11, c21 = m02 * m21 - m01 * m22, m00 * m22 - m02 * m20, m01 * m20 - m00 * m21
+    c02, c12, c22 = m01 * m12 - m02 * m11, m02 * m10 - m00 * m12, m00 * m11 - m01 * m10
+    det = m00 * c00 + m01 * c10 + m02 * c20
+    w00 = (c00 * nn + c01 * ne + c02 * nb) / det  # w = (I + J S)^-1 J, symmetric
+    w01 = (c00 * ne + c01 * ee + c02 * eb) / det
+    w02 = (c00 * nb + c01 * eb + c02 * bb) / det
+    w11 = (c10 * ne + c11 * ee + c12 * eb) / det
+    w12 = (c10 * nb + c11 * eb + c12 * bb) / det
+    w22 = (c20 * nb + c21 * eb + c22 * bb) / det
+    for i in range(d):
+        a, b, c = out[i, 0], out[i, 1], out[i, d - 1]
+        half[0, i], half[1, i], half[2, i] = a, b, c
+        work[i, 0], work[i, 1], work[i, 2] = (
+            a * w00 + b * w01 + c * w02, a * w01 + b * w11 + c * w12, a * w02 + b * w12 + c * w22
+        )  # fmt: skip
+    for i in range(d):
+        for k in range(i + 1):
+            out[i, k] -= work[i, 0] * half[0, k] + work[i, 1] * half[1, k] + work[i, 2] * half[2, k]
             out[k, i] = out[i, k]
 
 
@@ -131,7 +137,7 @@ def _flown(cov, phi, q, info, back, numbers, work, out):
     pieces, length, piece, settle = numbers
     here, top = cov, 0.0
     for i in range(pieces):
-        _advance(here, phi, q, info[pieces - 1 - i] if back else info[i], work[2], work[i % 2])
+        _advance(here, phi, q, info[pieces - 1 - i] if back else info[i], work[3], work[2], work[i % 2])
         here = work[i % 2]
         if length + (i + 1) * piece >= settle:
             top = max(top, longest(here))
@@ -200,7 +206,7 @@ def search(moves, lengths, pieces, turns, info, phis, qs, start, goal, cov0, num
     place, parent, follow = np.empty((size, 3), np.int32), np.empty(size, np.int32), np.empty(size, np.int32)
     flown, tops, covs = np.empty(size), np.empty(size), np.empty((size, d, d))
     cov, trial = np.empty((d, d)), np.empty((d, d))
-    work = (np.empty((d, d)), np.empty((d, d)), np.empty((d, 3)))
+    work = (np.empty((d, d)), np.empty((d, d)), np.empty((d, 3)), np.empty((d, d)))
     first = longest(cov0) if settle <= 0.0 else 0.0
     ahead = side * math.hypot(goal[0] - start[0], goal[1] - start[1])
     heap = [(_bin(first, limit), ahead, np.int64(-1), np.int64(headings))]
@@ -292,14 +298,12 @@ def along(readings, phi, q, bias, cov0, out):
         Variance north, covariance, variance east [m^2].
     """
     d = len(cov0)
-    cov, after, h, ch = cov0.copy(), np.empty((d, d)), np.zeros(d), np.empty(d)
+    cov, after, half, h, ch = cov0.copy(), np.empty((d, d)), np.empty((d, d)), np.zeros(d), np.empty(d)
     h[bias] = h[bias + 1] = 1.0
     for i in range(len(readings)):
         if i:
-            congruent(phi, cov, after)
-            for a in range(d):
-                for b in range(d):
-                    cov[a, b] = after[a, b] + q[a, b]
+            _propagate(cov, phi, q, half, after)
+            cov[:, :] = after
         if readings[i, 2] > 0.0:
             h[0], h[1] = -readings[i, 0], -readings[i, 1]
             total = 1.0 / readings[i, 2]

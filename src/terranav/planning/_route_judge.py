@@ -21,6 +21,7 @@ FloatArray = NDArray[np.float64]
 STAGES = (0.15, 0.4)  # shares of extra length that are tried before the one that is allowed
 TRIES = 4  # searches under an ever tighter limit
 _GRAIN = 0.002  # of a 1-sigma: what is nearer than that counts as the same
+_SPARE = 1e-4  # of the limit, for the difference between the quick recursion and the bound itself
 _NEVER: Worth = (math.inf, math.inf)
 
 
@@ -88,12 +89,12 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The best line, the straight one, how many labels were followed, and whether a search ran out of room."""
+    """The best line, the straight one, how many labels were followed, and whether a search was a coarse one."""
 
     line: Line
     straight: Line
     labels: int
-    full: bool
+    coarse: bool
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ class Judge:
         """The best route that is found: first among ways that are little longer than the straight one."""
         self._check(ends)
         ask, base = self.ask, self.line(np.array(self.plane.ends_m))
-        best, labels, full = None if base.barred else base, 0, False
+        best, labels, coarse = None if base.barred else base, 0, False
         for share in (*[stage for stage in STAGES if stage < 0.8 * ask.share], ask.share):
             if best is not None and best.top_m <= ask.limit_m:
                 break
@@ -118,7 +119,7 @@ class Judge:
             inner = ask.limit_m
             for _ in range(TRIES):
                 way = lattice.best(Wanted(inner, longest, ask.settle_m))
-                labels, full = labels + way.labels, full or way.full
+                labels, coarse = labels + way.labels, coarse or way.coarse
                 if not len(way.points_m):
                     break
                 mending = Mending(self._worth(inner, longest), 0.5 * lattice.side_m)
@@ -133,7 +134,7 @@ class Judge:
                 f"there is no way from {told(ends[0])} to {told(ends[1])} within {longest / 1000:.1f} km that can be "
                 f"flown: the straight line {' and '.join(base.barred)}, and none was found around"
             )
-        return Found(best, base, labels, full)
+        return Found(best, base, labels, coarse)
 
     @property
     def _room(self) -> float:
@@ -141,7 +142,7 @@ class Judge:
         return self.ask.margin_m + (0.09 * self.ask.radius_m if len(self.walls.sides) else 0.0)
 
     def _key(self, line: Line) -> Worth:
-        return math.floor(math.log(max(line.top_m, self.ask.limit_m, 1e-6)) / _GRAIN), line.length_m
+        return graded(line.top_m, self.ask.limit_m), line.length_m
 
     def _worth(self, limit: float, longest: float) -> Callable[[FloatArray], Worth]:
         """What corners are worth, by the quick recursion."""
@@ -157,7 +158,7 @@ class Judge:
             if self._barred_at(lat, lon):
                 return _NEVER
             top = self._top(self.sensing.sigmas(lat, lon))
-            return math.floor(math.log(max(top, limit, 1e-6)) / _GRAIN), length
+            return graded(top, limit * (1.0 - _SPARE)), length
 
         return worth
 
@@ -215,6 +216,11 @@ class Judge:
                     f"route {name} {told(place)}: ground at {ground:.0f} m and a clearance of "
                     f"{heights.clearance_m:g} m are above the ceiling of {heights.ceiling_m:g} m"
                 )
+
+
+def graded(top_m: float, limit_m: float) -> float:
+    """How bad a largest 1-sigma is: all are as good that are within the limit, or within a grain of one another."""
+    return -math.inf if top_m <= limit_m else math.ceil(math.log(max(top_m, 1e-6)) / _GRAIN)
 
 
 def told(place: Place) -> str:

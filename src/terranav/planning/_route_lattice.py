@@ -26,8 +26,8 @@ STEPS = 100  # nodes along the geodesic, at most
 MOST_NODES = 14_000
 PIECES = 2.0  # that an edge as long as the lattice's side is flown in
 READINGS_A_CELL = 2.0  # of an edge
-DEEP, MOST_LABELS = 12, 250_000
-SLACK = 0.4  # of dominance, in variance
+CARE = ((0.4, 12, 120_000), (1.0, 3, 250_000), (1.0, 1, 1_000_000))  # slack of dominance in variance, labels at one
+# place and heading, labels in all: where a search would need more, the next, coarser one has them
 LEAST_SIDE_RADII = 0.6  # of the turn radius: a lattice finer than that has corners that cannot be flown
 CHUNK = 200_000  # readings looked up at a time
 
@@ -53,12 +53,15 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Way:
-    """The best way over a lattice: points (n, 2) in the plane [m], none where there is no way."""
+    """The best way over a lattice: points (n, 2) in the plane [m], none where there is no way.
+
+    `labels` were followed; `coarse`: by a search that compares less carefully, the first having had too many.
+    """
 
     points_m: FloatArray
     top_m: float
     labels: int
-    full: bool
+    coarse: bool
 
 
 @dataclass(frozen=True)
@@ -197,8 +200,14 @@ class Lattice:
         phis, qs = (np.ascontiguousarray([step[i][:patch, :patch] for step in steps]) for i in (0, 1))
         numbers = (wanted.limit_m, wanted.longest_m * (1.0 + 1e-9), wanted.settle_m, self.side_m)
         start = np.ascontiguousarray(self.sensing.start[:patch, :patch])
-        ended, path, _, top, taken = search(
-            MOVES, lengths, self.pieces, self.turns, self.edges, phis, qs, *self.ends, start, numbers,
-            SLACK, MOST_LABELS, DEEP,
-        )  # fmt: skip
-        return Way(self.points_m(path), top, int(taken), ended == FULL)
+        followed, coarse = 0, False
+        for slack, deep, most in CARE:
+            ended, path, _, top, taken = search(
+                MOVES, lengths, self.pieces, self.turns, self.edges, phis, qs, *self.ends, start, numbers,
+                slack, most, deep,
+            )  # fmt: skip
+            followed += int(taken)
+            if ended != FULL:
+                break
+            coarse = True
+        return Way(self.points_m(path), top, followed, coarse)

@@ -41,10 +41,12 @@ from terranav.core.checks import finite
 from terranav.core.earth import GRAVITY_MPS2, metres_per_degree
 from terranav.core.errors import ConfigError, DataError
 from terranav.core.ins_grade import InsGrade
+from terranav.core.recording import Recording
 from terranav.maps.map import Map
 from terranav.planning._route_judge import Ask, Judge, Line, told
 from terranav.planning._route_plane import Area, Place, Plane, Walls
 from terranav.planning._route_sensing import HEIGHTED, Heights, Sensing
+from terranav.planning._route_waypoints import waypoints
 
 FloatArray = NDArray[np.float64]
 
@@ -142,8 +144,9 @@ class Route:
         Whether the largest 1-sigma is within the limit; True without one.
     labels : int
         How many labels the searches followed.
-    full : bool
-        A search had to stop for want of room: what is told holds, but better routes may have been missed.
+    coarse : bool
+        A search followed too many labels and was done again with fewer: what is told holds, but better routes may
+        have been missed.
     settings : RouteSettings
     ins : InsGrade
     """
@@ -152,7 +155,7 @@ class Route:
     straight: Line
     kept: bool
     labels: int
-    full: bool
+    coarse: bool
     settings: RouteSettings
     ins: InsGrade
 
@@ -216,16 +219,51 @@ def plan_route(
         )
     found = _judge(_near(chart, plane, settings), plane, settings, grade, keep_out).found((start, end))
     kept = settings.limit_m is None or found.line.top_m <= settings.limit_m
-    return Route(found.line, found.straight, kept, found.labels, found.full, settings, grade)
+    return Route(found.line, found.straight, kept, found.labels, found.coarse, settings, grade)
+
+
+def waypoints_of(route: Route) -> FloatArray:
+    """(m, 3) latitude, longitude [deg] and altitude [m] for an autopilot: corners, and bends of the height profile.
+
+    Straight climbs between them are nowhere below the line's altitudes and nowhere steeper than `climb_deg`.
+    """
+    return waypoints(route.line, route.settings.radius_m)
+
+
+def recording_of(line: Line, chart: Map, settings: RouteSettings, ins: InsGrade) -> Recording:
+    """A flight along a line with its position true, and what a perfect sensor would read at its places.
+
+    Parameters
+    ----------
+    line : Line
+    chart : Map
+    settings : RouteSettings
+        Those the line was made with.
+    ins : InsGrade
+        Becomes the recording's.
+
+    Returns
+    -------
+    Recording
+        Readings are left out where the map is void or the ground out of the altimeter's range; the times are those at
+        the speed of the settings.
+    """
+    step = float(line.distance_m[-1]) / max(line.distance_m.size - 1, 1)
+    rate = settings.speed_mps / step if step > 0.0 else settings.rate_hz
+    return replace(_sensing(chart, settings, ins), rate_hz=rate).recording(line.lat_deg, line.lon_deg)
+
+
+def _sensing(chart: Map, settings: RouteSettings, grade: InsGrade) -> Sensing:
+    """The sensor over a map, as it is told."""
+    ceiling = math.inf if settings.ceiling_m is None else settings.ceiling_m
+    reach = math.inf if settings.altimeter_range_m is None else settings.altimeter_range_m
+    heights = Heights(settings.clearance_m, settings.climb_deg, ceiling, reach) if chart.kind in HEIGHTED else None
+    return Sensing(chart, grade, settings.sensor_sigma, settings.rate_hz, settings.speed_mps, heights)
 
 
 def _judge(chart: Map, plane: Plane, settings: RouteSettings, grade: InsGrade, keep_out: Sequence[Area]) -> Judge:
     """What routes over a map are judged by."""
-    ceiling, reach = (
-        math.inf if value is None else value for value in (settings.ceiling_m, settings.altimeter_range_m)
-    )
-    heights = Heights(settings.clearance_m, settings.climb_deg, ceiling, reach) if chart.kind in HEIGHTED else None
-    whole = Sensing(chart, grade, settings.sensor_sigma, settings.rate_hz, settings.speed_mps, heights)
+    whole = _sensing(chart, settings, grade)
     ask = Ask(settings.limit_m or 0.0, settings.share, settings.settle_m, settings.radius_m, settings.margin_m)
     return Judge(plane, whole.thinned(plane.length_m * (1.0 + settings.share)), Walls.of(keep_out, plane), ask)
 
