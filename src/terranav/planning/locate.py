@@ -33,6 +33,7 @@ __all__ = ["LocateSettings", "Located", "Place", "Track", "locate"]
 FloatArray = NDArray[np.float64]
 
 FIRST_FITS, MOST_FITS = 8, 60  # places fitted below the cell: for a first limit, and at last
+MOST_STOPPED = 4000  # cells and headings looked at closer where the search was stopped
 PARTS = (0.3, 0.6)  # of the misfit that is usual at most, tried first: a low limit is soon searched
 LEAST_VOLUME = 1e-5  # of a cell, heading and scale that a place is taken to fill until that is known
 WEIGHED = 30.0  # misfit above the best up to which a place is weighed by integration
@@ -222,11 +223,11 @@ def locate(track: Track, chart: Map, settings: LocateSettings | None = None) -> 
     for noise, part in [(1.0, part) for part in PARTS] + [(noise, 1.0) for noise in NOISES]:
         weight = work.weight / noise  # first some place that fits, then all that are within the margin of it
         kept, _, complete = searched(work, weight, part * usual, 0.0, most)
-        fits, leaves, left = fitted(work, weight, kept, margin, FIRST_FITS)
+        fits, leaves, left = fitted(work, weight, _looked_at(kept, complete), margin, FIRST_FITS)
         if fits and fits[0].misfit <= usual:
             margin = _margin(work, 0.5 * settings.tail, weighed(work, weight, fits[0], leaves[0]).volume)
             kept, limit, complete = searched(work, weight, fits[0].misfit + margin, margin, most)
-            fits, leaves, left = fitted(work, weight, kept, margin, MOST_FITS)
+            fits, leaves, left = fitted(work, weight, _looked_at(kept, complete), margin, MOST_FITS)
             margin = max(limit - fits[0].misfit, 0.0)
             break
         if not complete:
@@ -236,6 +237,11 @@ def locate(track: Track, chart: Map, settings: LocateSettings | None = None) -> 
         for fit, cells in zip(fits, leaves, strict=True)
     ]
     return _judged(work, fits, settings, (margin, noise, complete, left))
+
+
+def _looked_at(kept: FloatArray, complete: bool) -> FloatArray:
+    """All that was kept; of a search that was stopped, which gives no answer anyway, what fits best as it stands."""
+    return kept if complete else kept[np.argsort(kept[:, 4], kind="stable")[:MOST_STOPPED]]
 
 
 def _margin(work: Search, tail: float, volume: float) -> float:
