@@ -2,6 +2,7 @@
 
     python -m benchmarks.locate [--ground rough] [--runs 100] [--seed 5000] [--heading 2] [--scale 0] [--length 15]
     python -m benchmarks.locate --growth [--runs 20]
+    python -m benchmarks.locate --flights
 
 The map is the block of four SRTM tiles beside the checkout (or in the folder that TERRANAV_SHARED names), 2401 x 2401
 cells of 3 arcsec. A run draws a straight track anywhere on it, its heading and scale errors evenly within what is told,
@@ -38,6 +39,7 @@ SPACING_M, SIGMA_M, MAP_SIGMA_M, OFFSET_M = 60.0, 5.0, 3.0, 30.0
 GROUNDS = {"rough": (40.0, math.inf), "middling": (5.0, 40.0), "flat": (0.0, 5.0)}
 RIGHT_CELLS = 2.0
 MOST_DRAWS = 100_000
+FLIGHT_INS = tn.InsGrade(20_000.0, 0.3, 0.3)
 MIRRORED = (2, 3)  # times the block's side, in the growth of the time with the map
 
 FloatArray = NDArray[np.float64]
@@ -207,6 +209,29 @@ def growth(runs: int, seed: int, world: World) -> Iterator[str]:
         )
 
 
+def flights() -> Iterator[str]:
+    """Pieces of the helicopter survey's flights, with an INS drift added."""
+    from terranav.io.tables import convert_table
+
+    folder = DATA.parent / "wisconsin_helicopter"
+    chart = tn.open_map(folder / "land_surface_100m.tif", kind="terrain", sigma=MAP_SIGMA_M)
+    for file in sorted(folder.glob("flight_*.csv")):
+        rec = tn.add_drift(convert_table(file, ROOT / "examples" / "wisconsin_helicopter.toml"), FLIGHT_INS, 3)
+        for minutes, start_s in ((15, 600.0), (15, 4200.0), (30, 600.0), (30, 4200.0)):
+            first_s = float(rec.time_s[0]) + start_s
+            part = rec.between(first_s, first_s + 60.0 * minutes)
+            rows = np.flatnonzero(np.isfinite(part.columns[part.readings[0]]))
+            track = Track.of(part.epochs(), "terrain")
+            found = locate(track, chart, LocateSettings(heading_deg=2.0, scale=0.02))
+            best, last = found.candidates[0], int(rows[-1])
+            lat, lon = (float(part.columns[key][last]) for key in ("true_lat_deg", "true_lon_deg"))
+            error = math.hypot(*offset_of(lat, lon, best.lat_deg, best.lon_deg))
+            yield (
+                f"  {file.stem} from {start_s:g} s, {minutes} min: {found.verdict}; {track.height.size} readings, "
+                f"spread {track.height.std():.1f} m; likeliest {error:.0f} m off, probability {best.probability:.3f}"
+            )
+
+
 @cache
 def warmed() -> None:
     """Compile, so that no run is charged with it."""
@@ -226,6 +251,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=0.0, help="largest error of lengths [%%]")
     parser.add_argument("--length", type=float, default=15.0, help="of a track [km]")
     parser.add_argument("--growth", action="store_true", help="time over maps of growing area instead")
+    parser.add_argument("--flights", action="store_true", help="pieces of the helicopter survey instead")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write every run as JSON")
     given = parser.parse_args(arguments)
     if not DATA.is_dir():
@@ -234,8 +260,8 @@ def main(arguments: list[str] | None = None) -> int:
     warmed()
     world = World("rough", given.heading, given.scale / 100.0, 1000.0 * given.length)
     every: dict[str, list[Mapping[str, object]]] = {}
-    if given.growth:
-        for line in growth(given.runs, given.seed, world):
+    if given.growth or given.flights:
+        for line in flights() if given.flights else growth(given.runs, given.seed, world):
             print(line, flush=True)
         return 0
     chart = block()
