@@ -300,6 +300,7 @@ def drawn(chart: Map, rng: np.random.Generator, epochs: int = 200) -> Recording:
     return add_drift(Recording(columns, sigma={"terrain_m": 3.0}), INS, rng)
 
 
+@pytest.mark.filterwarnings("ignore:.*terrain readings lie:terranav.core.errors.DataWarning")  # a bias is drawn
 def test_the_filter_comes_close_to_it() -> None:
     chart = gaussian_map(np.random.default_rng(8), std=150.0, correlation_m=800.0, cell_m=90.0, cells=400, sigma=4.0)
     squared, bounds = [], []
