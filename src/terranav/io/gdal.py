@@ -63,11 +63,15 @@ def _void(raster: Any, band: int, window: Window, raw: NDArray[Any]) -> NDArray[
     nodata, flags = raster.nodatavals[band - 1], [flag.name for flag in raster.mask_flag_enums[band - 1]]
     if flags == ["all_valid"]:
         return np.zeros(raw.shape, np.bool_)
-    if flags == ["nodata"] and nodata is not None:
-        if math.isnan(nodata) and raw.dtype.kind == "f":
+    if flags == ["nodata"] and nodata is not None and raw.dtype.kind in "iuf":
+        if raw.dtype.kind == "f" and math.isnan(nodata):
             return np.asarray(np.isnan(raw))
-        if raw.dtype.kind == "f" or (raw.dtype.kind in "iu" and float(np.array(nodata).astype(raw.dtype)) == nodata):
-            return np.asarray(raw == raw.dtype.type(nodata))
+        limits = np.finfo(raw.dtype) if raw.dtype.kind == "f" else np.iinfo(raw.dtype)
+        if limits.min <= nodata <= limits.max and (raw.dtype.kind == "f" or nodata == round(nodata)):
+            void = raw.dtype.type(nodata)
+            # GDAL, too, takes what two steps of a float set apart for the same
+            near = 2.0 * np.spacing(np.abs(void)) if raw.dtype.kind == "f" else 0
+            return np.asarray(np.abs(raw - void) <= near if near else raw == void)
     return np.asarray(raster.read_masks(band, window=window) == 0)
 
 

@@ -83,6 +83,10 @@ class Georeference:
         y, x = np.asarray(row, dtype=np.float64) + 0.5, np.asarray(col, dtype=np.float64) + 0.5
         return a * x + b * y + c, d * x + e * y + f
 
+    def lat_lon(self, row: ArrayLike, col: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude of fractional rows and columns, on the grid or beyond it [deg]."""
+        return self.projection.inverse(*self._xy(row, col))
+
     def _places(self, down: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latitude and longitude [deg] at shares of the way from the first row and column to the last.
 

@@ -140,15 +140,8 @@ class Map:
         value : ndarray of the broadcast shape [unit]
             NaN outside the hull of the cell centres and where a void has weight.
         """
-        from terranav.kernels import sampling
-
-        if method not in ("bilinear", "bicubic"):
-            raise ConfigError(f"sampling method is {method!r}, expected 'bilinear' or 'bicubic'")
         row, col = self.cells(lat_deg, lon_deg)
-        out = np.empty(row.size)
-        kernel = sampling.bilinear if method == "bilinear" else sampling.bicubic
-        kernel(self.values, row.ravel(), col.ravel(), out)
-        return out.reshape(row.shape)
+        return sampled(self.values, row.ravel(), col.ravel(), method).reshape(row.shape)
 
     def gradient(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Slopes of the field: differences of `sample` over one cell, from half a cell before to half a cell after.
@@ -282,6 +275,18 @@ def as_maps(given: Map | Iterable[Map]) -> tuple[Map, ...]:
         if not isinstance(chart, Map):
             raise ConfigError(f"maps holds {chart!r}, expected Map objects (terranav.open_map reads one from a file)")
     return charts
+
+
+def sampled(values: NDArray[np.float32], row: FloatArray, col: FloatArray, method: Method) -> FloatArray:
+    """Values at fractional rows and columns (n,), NaN off them; ConfigError for an unknown method."""
+    from terranav.kernels import sampling
+
+    if method not in ("bilinear", "bicubic"):
+        raise ConfigError(f"sampling method is {method!r}, expected 'bilinear' or 'bicubic'")
+    out = np.empty(row.size)
+    kernel = sampling.bilinear if method == "bilinear" else sampling.bicubic
+    kernel(values, row, col, out)
+    return out
 
 
 def _kept(given: NDArray[Any]) -> NDArray[np.float32]:

@@ -19,8 +19,8 @@ from terranav.core.errors import DataError, DataWarning
 from terranav.core.kinds import kind_named
 from terranav.core.memory import need
 from terranav.maps.georeference import Window
-from terranav.maps.map import CORRELATION_CELLS, Map, Method
-from terranav.maps.tiles import Layer, Tile, interpolated, layers, placed, sampled, union
+from terranav.maps.map import CORRELATION_CELLS, Map, Method, sampled
+from terranav.maps.tiles import Layer, Tile, interpolated, layers, union
 from terranav.maps.windows import BLOCK, Windows
 
 FloatArray = NDArray[np.float64]
@@ -96,15 +96,17 @@ class Mosaic(Map):
         finite(f"{self.name}: map sigma", self.sigma, minimum=0.0)
         if self.correlation_m is not None:
             finite(f"{self.name}: map correlation_m", self.correlation_m, above=0.0)
-        shape = place.shape[0], None if finest.period is not None else place.shape[1]
-        windows = Windows(self._read, self._part, shape, int(memory_mb * 2**20))
+        edges = place.shape[0], None if finest.period is not None else place.shape[1]
+        windows = Windows(self._read, self._part, edges, int(memory_mb * 2**20))
         own = {"_place": place, "_layers": several, "_finest": finest, "_start": start, "_windows": windows}
+        own["_edges"] = edges
         for key, value in (own | {"_again": again, "_clipped": threading.Event()}).items():
             object.__setattr__(self, key, value)
 
     _layers: list[Layer]
     _finest: Layer
     _start: tuple[int, int]
+    _edges: tuple[int, int | None]  # rows and columns, None where the grid has no end
     _windows: Windows[Map]
     _again: Callable[[], Mosaic] | None
     _clipped: threading.Event
@@ -175,12 +177,11 @@ class Mosaic(Map):
             col = np.where(np.isfinite(col), np.mod(col, self._finest.period), col)
         out = np.full(row.size, np.nan)
         r, c = row.ravel(), col.ravel()
-        rows, cols = self.shape
-        wide = math.inf if self._finest.period is not None else cols
+        rows, cols = self._edges
         with np.errstate(invalid="ignore"):
-            near = np.flatnonzero((r > -1.0) & (r < rows) & (c > -1.0) & (c < wide))
+            near = np.flatnonzero((r > -1.0) & (r < rows) & (c > -1.0) & (c < (math.inf if cols is None else cols)))
         for part, ahead in self._together(r, c, near):
-            cells = _around(r[part], rows), _around(c[part], None if wide == math.inf else cols)
+            cells = _around(r[part], rows), _around(c[part], cols)
             land = self._windows.get(cells, ahead=ahead)
             top, left = self._at(land)
             out[part] = sampled(land.values, r[part] - top, c[part] - left, method)
@@ -209,7 +210,7 @@ class Mosaic(Map):
             if self._finest.period is not None:  # the edge of the grid is no edge
                 middle = 0.5 * (west_deg + west_deg + (east_deg - west_deg) % 360.0)
                 columns = int(self._place.cells(0.0, middle)[1]) - self.shape[1] // 2
-                place = placed(place, (0, columns), self.shape)
+                place = place.cropped(((0, self.shape[0]), (columns, columns + self.shape[1])))
             else:
                 columns = 0
             (r0, r1), (c0, c1) = place.window(south_deg, west_deg, north_deg, east_deg)
@@ -265,15 +266,13 @@ class Mosaic(Map):
         """Checked values of a window as a Map."""
         values.setflags(write=False)
         about = {key: getattr(self, key) for key in self.__dataclass_fields__ if key not in ("values", "transform")}
-        (r0, r1), (c0, c1) = window
-        return Map(values, placed(self._place, (r0, c0), (r1 - r0, c1 - c0)).transform, **about)
+        return Map(values, self._place.cropped(window).transform, **about)
 
     def _part(self, window: Window, values: Float32Array) -> Map:
         """A window as a Map that need not have a value anywhere."""
-        (r0, r1), (c0, c1) = window
         state = {key: getattr(self, key) for key in self.__dataclass_fields__ if key != "values"}
         part = Map.__new__(Map)
-        place = placed(self._place, (r0, c0), (r1 - r0, c1 - c0))
+        place = self._place.cropped(window)
         part.__setstate__(state | {"values": values, "transform": place.transform, "_place": place})
         return part
 
@@ -303,10 +302,8 @@ class Mosaic(Map):
         row, col = self.cells(lat, lon)
         outer = [self._ends(float(lat[k]), float(lon[k]), radius_m) for k in (lat.argmin(), lat.argmax())]
         down, across = (max(0.5 * (ends[axis][1] - ends[axis][0]) for ends in outer) for axis in (0, 1))
-        return (float(row.min()) - down, float(row.max()) + down), (
-            float(col.min()) - across,
-            float(col.max()) + across,
-        )
+        (top, bottom), (left, right) = ((float(axis.min()), float(axis.max())) for axis in (row, col))
+        return (top - down, bottom + down), (left - across, right + across)
 
     def _ends(self, lat_deg: float, lon_deg: float, radius_m: float) -> Ends:
         """As `_reach`, of one place."""
@@ -319,11 +316,10 @@ class Mosaic(Map):
 
     def _bounded(self, ends: Ends) -> Window:
         """Whole cells of the grid, no more than fit into a window."""
-        sizes = self.shape[0], None if self._finest.period is not None else self.shape[1]
         sides = [high - low for low, high in ends]
         if not math.isfinite(sides[0] + sides[1]):
             return (0, 2), (0, 2)
-        cells = _cells_between(*ends[0], sizes[0]), _cells_between(*ends[1], sizes[1])
+        cells = _cells_between(*ends[0], self._edges[0]), _cells_between(*ends[1], self._edges[1])
         if self._windows.fits(cells):
             return cells
         self._say_clipped(sides)

@@ -6,13 +6,14 @@ import math
 import threading
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from terranav.core.errors import ConfigError, DataError, DataWarning
+from terranav.core.errors import DataError, DataWarning
 from terranav.maps.georeference import Georeference, Window
+from terranav.maps.map import sampled
 
 Float32Array = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
@@ -72,7 +73,8 @@ class Layer:
         origin = np.array(shifts) - start
         self.at = np.stack([origin[:, 0], origin[:, 0] + size[:, 0], origin[:, 1], origin[:, 1] + size[:, 1]], axis=1)
         shape = int(self.at[:, 1].max()), int(self.at[:, 3].max())
-        self.place = placed(first, (int(start[0]), int(start[1])), shape)
+        (top, left), (rows, cols) = start.tolist(), shape
+        self.place = first.cropped(((top, top + rows), (left, left + cols)))
         self.period = around if around is not None and shape[1] >= around else None
         self._broken: set[int] = set()
         self._lock = threading.Lock()
@@ -132,12 +134,6 @@ def layers(tiles: Sequence[Tile]) -> list[Layer]:
     return [Layer(group) for group in groups]
 
 
-def placed(like: Georeference, start: tuple[int, int], shape: tuple[int, int]) -> Georeference:
-    """The grid of another, from another first row and column and of another shape."""
-    (r0, c0), (a, b, c, d, e, f) = start, like.transform
-    return replace(like, shape=shape, transform=(a, b, c + a * c0 + b * r0, d, e, f + d * c0 + e * r0))
-
-
 def union(finest: Layer, others: Sequence[Layer]) -> tuple[Georeference, tuple[int, int]]:
     """The grid of a layer made so large that it holds others, and where it begins in that layer's rows and columns."""
     low, high = np.zeros(2), np.array(finest.place.shape, dtype=np.float64)
@@ -145,15 +141,14 @@ def union(finest: Layer, others: Sequence[Layer]) -> tuple[Georeference, tuple[i
         rows, cols = layer.place.shape
         t = np.linspace(-0.5, 0.5, 41)
         row, col = np.meshgrid(0.5 * (rows - 1) + t * rows, 0.5 * (cols - 1) + t * cols, indexing="ij")
-        at = np.stack(finest.place.cells(*lat_lon(layer.place, row, col))).reshape(2, -1)
+        at = np.stack(finest.place.cells(*layer.place.lat_lon(row, col))).reshape(2, -1)
         at = at[:, np.isfinite(at).all(axis=0)]
         if at.size:
             low, high = np.minimum(low, np.floor(at.min(axis=1))), np.maximum(high, np.ceil(at.max(axis=1)) + 1.0)
     if finest.period is not None:
         low[1], high[1] = 0.0, finest.place.shape[1]
-    start = int(low[0]), int(low[1])
-    shape = int(high[0] - low[0]), int(high[1] - low[1])
-    return placed(finest.place, start, shape), start
+    (top, left), (bottom, right) = low.astype(int).tolist(), high.astype(int).tolist()
+    return finest.place.cropped(((top, bottom), (left, right))), (top, left)
 
 
 def interpolated(
@@ -175,7 +170,7 @@ def interpolated(
     at = np.nonzero(np.isnan(out))
     if not at[0].size:
         return
-    row, col = layer.place.cells(*lat_lon(place, at[0] + start[0], at[1] + start[1]))
+    row, col = layer.place.cells(*place.lat_lon(at[0] + start[0], at[1] + start[1]))
     rows, cols = layer.place.shape
     with np.errstate(invalid="ignore"):
         known = (row > -0.5 - 1e-6) & (row < rows - 0.5 + 1e-6)
@@ -191,25 +186,6 @@ def interpolated(
     else:
         found = sampled(values, row - top, col - left, "bilinear")
     out[at[0][known], at[1][known]] = found
-
-
-def sampled(values: Float32Array, row: FloatArray, col: FloatArray, method: str) -> FloatArray:
-    """Values at fractional rows and columns (n,); NaN off them."""
-    from terranav.kernels import sampling
-
-    if method not in ("bilinear", "bicubic"):
-        raise ConfigError(f"sampling method is {method!r}, expected 'bilinear' or 'bicubic'")
-    out = np.empty(row.size)
-    kernel = sampling.bilinear if method == "bilinear" else sampling.bicubic
-    kernel(values, np.ascontiguousarray(row), np.ascontiguousarray(col), out)
-    return out
-
-
-def lat_lon(place: Georeference, row: ArrayLike, col: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Latitude and longitude of fractional rows and columns, on the grid or beyond it [deg]."""
-    a, b, c, d, e, f = place.transform
-    y, x = np.asarray(row, dtype=np.float64) + 0.5, np.asarray(col, dtype=np.float64) + 0.5
-    return place.projection.inverse(a * x + b * y + c, d * x + e * y + f)
 
 
 def _turns(place: Georeference) -> bool:
