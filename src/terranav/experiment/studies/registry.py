@@ -15,6 +15,7 @@ _HOMES = {
     "plan": "plan",
     "real": "real",
     "robust": "robust",
+    "routes": "routes",
 }
 
 

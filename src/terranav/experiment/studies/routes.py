@@ -232,9 +232,9 @@ def _verdicts(cases: Sequence[CaseRuns], gains: PerCase) -> list[Verdict]:
     """What was asked of the pairs."""
     asked = math.ceil(ASKED_SHARE * len(cases) - 1e-9)
     better = [bool(one["route_m"][0] < one["straight_m"][0] and one["extra"][0] < ASKED_EXTRA) for one in cases]
-    seen = [good and gains.values[i] > 1.0 for i, good in enumerate(better)]
-    sure = [good and gains.interval(i).low > 1.0 for i, good in enumerate(better)]
-    worse = sum(gains.interval(i).high < 1.0 for i in range(len(cases)))
+    seen = [good and bool(gains.values[i] > 1.0) for i, good in enumerate(better)]
+    sure = [good and bool(gains.interval(i).low > 1.0) for i, good in enumerate(better)]
+    worse = sum(bool(gains.interval(i).high < 1.0) for i in range(len(cases)))
     middle = gains.over_cases(np.median)
     of = f"of {len(cases)}"
     return [
@@ -242,7 +242,7 @@ def _verdicts(cases: Sequence[CaseRuns], gains: PerCase) -> list[Verdict]:
         _counted("of these with a lower largest RMSE flown", seen, asked),
         _counted("of these beyond the interval", sure, None),
         Verdict("pairs with a larger RMSE beyond the interval", f"0 {of}", f"{worse} {of}", worse == 0),
-        Verdict("RMSE straight / route, median of pairs", "> 1", shown(middle), middle.low > 1.0),
+        Verdict("RMSE straight / route, median of pairs", "> 1", shown(middle), bool(middle.low > 1.0)),
     ]
 
 
