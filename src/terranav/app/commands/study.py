@@ -24,7 +24,9 @@ _DEFAULT = Path("terranav-study")
 
 
 def study(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="bound, consistency, integrity, plan, real, robust or routes.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="bound, consistency, integrity, plan, real, robust or routes.")
+    ],
     *,
     runs: Annotated[
         int | None, typer.Option(metavar="N", help="Runs of each case; the study's own number unless given.")
