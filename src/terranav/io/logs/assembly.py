@@ -11,7 +11,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ _REACH = 0.5001
 #: a position further than this from the median of its neighbours, and than the fastest could be, is damage
 _STRAY_M, _FASTEST_MPS = 500.0, 400.0
 _READINGS = {"laser": "laser_altitude_m", "radar": "radar_altitude_m"}
+_BESIDE = ("airspeed", "imu")
 _TURNS = {"lon_deg": 360.0, "roll_deg": 360.0, "heading_deg": 360.0}
 
 
@@ -57,11 +59,14 @@ class Log:
         into; what is missing.
     remarks : tuple of str
         The same in words, a line each, damage first.
+    beside : mapping of role to Series
+        What a recording has no column for, on its clock and at its own rate: airspeed, imu.
     """
 
     recording: Recording
     facts: dict[str, Any]
     remarks: tuple[str, ...]
+    beside: Mapping[str, Series] = field(default_factory=dict)
 
 
 def assembled(found: Found, rate_hz: float) -> Log:
@@ -102,7 +107,10 @@ def assembled(found: Found, rate_hz: float) -> Log:
         recording = Recording(columns, source=source, name=name, datum=_datum(base, columns))
     except DataError as problem:
         raise DataError(f"{found.path}: {problem}") from None
-    return Log(recording, facts, remarks)
+    beside = {
+        role: replace(by_role[role], time_s=by_role[role].time_s - start_s) for role in _BESIDE if role in by_role
+    }
+    return Log(recording, facts, remarks, beside)
 
 
 def _datum(base: Series, columns: dict[str, FloatArray]) -> dict[str, str]:

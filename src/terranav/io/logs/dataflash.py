@@ -9,12 +9,15 @@ format letters are applied, so all are in base units):
   (NKF1) PN, PE, PD [m] about the origin of the filter (ORGN type 0); where that is not, AHR2.
 - ATT: Roll, Pitch, Yaw [deg]. XKF1 (NKF1): VN, VE, VD [m/s]. BARO: Alt [m] above where it was set.
 - RFND: Dist [m], Stat (4 good, 2 too near, 3 too far), Orient (25 down); its limits are parameters.
+- ARSP: Airspeed [m/s], equivalent: what the pitot tube tells. IMU: GyrX, GyrY, GyrZ [rad/s], AccX, AccY, AccZ [m/s^2]
+  of the body's forward, right and down axes.
 - XKF4 (NKF4): SS, the status of the filter; bit 13: it uses GNSS.
 - TERR holds heights of the autopilot's own map, which no sensor measured: it is not read.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -26,10 +29,19 @@ from terranav.core.errors import DataError
 from terranav.core.recording import FloatArray
 from terranav.io.logs.clocks import utc_of_gps
 from terranav.io.logs.dataflash_rows import Rows, read_rows
-from terranav.io.logs.found import SEA_LEVEL, TAKE_OFF, Found, Series, series, velocity_from_course
+from terranav.io.logs.found import (
+    IMU,
+    SEA_LEVEL,
+    TAKE_OFF,
+    Found,
+    Series,
+    series,
+    true_airspeed_mps,
+    velocity_from_course,
+)
 
 Table = dict[str, NDArray[Any]]
-_WANTED = ("GPS", "GPS2", "POS", "AHR2", "ATT", "BARO", "RFND", "ORGN", "XKF1", "NKF1", "XKF4", "NKF4")
+_WANTED = ("GPS", "GPS2", "POS", "AHR2", "ATT", "BARO", "RFND", "ORGN", "XKF1", "NKF1", "XKF4", "NKF4", "ARSP")
 _DEGREE_M = 0.011131884502145034 * 1e7  # LOCATION_SCALING_FACTOR
 _DOWN, _GOOD, _FIX_3D = 25, 4, 3
 _USING_GPS = 1 << 13
@@ -38,12 +50,14 @@ _WIDE = {2, 11, 13, 23, 30, 33, 39, 41, 42, 43, 44}
 _MS_WRAP_S = 2**32 * 1e-3
 
 
-def read(path: Path) -> Found:
+def read(path: Path, *, imu: bool = False) -> Found:
     """Read a DataFlash log.
 
     Parameters
     ----------
     path : Path
+    imu : bool
+        Whether to read the inertial sensors.
 
     Returns
     -------
@@ -56,12 +70,13 @@ def read(path: Path) -> Found:
     ConfigError
         When pymavlink is not installed.
     """
-    rows = read_rows(path, _WANTED)
+    rows = read_rows(path, (*_WANTED, "IMU") if imu else _WANTED)
     if not rows.counts or set(rows.counts) <= {"FMT", "FMTU", "UNIT", "MULT"}:
         raise DataError(f"{path}: is no DataFlash log, or damaged: it holds no whole message but definitions")
     remarks, whole = _damage(rows)
     tables = {name: table for name, table in rows.tables.items() if _clock(table) is not None}
     made = [_gnss(tables), _own(tables), _velocity(tables), _attitude(tables), _baro(tables), _fusing(tables)]
+    made += [_airspeed(tables), _imu(tables)]
     parts = [part for part in (*made, *_altimeters(tables, rows.parameters, remarks)) if part is not None]
     start = _start_utc(tables, remarks)
     if rows.counts.get("TERR"):
@@ -214,6 +229,28 @@ def _baro(tables: dict[str, Table]) -> Series | None:
     if found is None:
         return None
     return _series("baro", "BARO", found[1], {"altitude_m": found[1]["Alt"]}, height=TAKE_OFF, uses_gnss=False)
+
+
+def _airspeed(tables: dict[str, Table]) -> Series | None:
+    """The first airspeed sensor, its reading made true airspeed by the altitude."""
+    found = _first(tables, "Airspeed", names=("ARSP",))
+    own = _own(tables)
+    if found is None or own is None or not len(own):
+        return None
+    name, table = found
+    part = _series("airspeed", name, table, {"airspeed_mps": table["Airspeed"]}, uses_gnss=False)
+    altitude = np.interp(part.time_s, own.time_s, own.values["alt_m"])
+    return replace(part, values={"airspeed_mps": true_airspeed_mps(part.values["airspeed_mps"], altitude)})
+
+
+def _imu(tables: dict[str, Table]) -> Series | None:
+    """The first inertial sensor."""
+    names = ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")
+    found = _first(tables, *names, names=("IMU",))
+    if found is None:
+        return None
+    values = dict(zip(IMU, (found[1][name] for name in names), strict=True))
+    return _series("imu", found[0], found[1], values, uses_gnss=False)
 
 
 def _fusing(tables: dict[str, Table]) -> Series | None:

@@ -14,7 +14,15 @@ from terranav.io.logs.found import DATUMS, NO_HEIGHT, SEA_LEVEL, Found, Series
 
 #: a series has a gap where its rows are further apart than this or five times the usual step, whichever is more [s]
 GAP_S = 1.0
-_UNITS = {"gnss": "deg, m", "own": "deg, m", "velocity": "m/s", "attitude": "deg", "fusing": "1"}
+_UNITS = {
+    "gnss": "deg, m",
+    "own": "deg, m",
+    "velocity": "m/s",
+    "attitude": "deg",
+    "fusing": "1",
+    "airspeed": "m/s",
+    "imu": "rad/s, m/s^2",
+}
 _WORDS = {
     "gnss": "GNSS",
     "own": "own position",
@@ -25,6 +33,8 @@ _WORDS = {
     "radar": "radar altimeter",
     "depth": "depth sounder",
     "fusing": "use of GNSS",
+    "airspeed": "airspeed",
+    "imu": "inertial sensors",
 }
 _LACKING = {
     "gnss": "no GNSS fix is logged: there is no truth, and no error can be told",

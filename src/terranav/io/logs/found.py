@@ -12,6 +12,9 @@ of one role, and the role says its columns:
     radar     range_m      range to the nearest ground (radar and ultrasonic sensors); NaN likewise
     depth     depth_m      below the surface, positive down
     fusing    gnss         1 where the autopilot's estimate used GNSS, 0 where not
+    airspeed  airspeed_mps true airspeed
+    imu       gyro_*_radps, accel_*_mps2      angular rate and specific force about and along the body's forward,
+                                              right and down axes; read only when asked for
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from terranav.core.recording import ATTITUDE, VELOCITY, FloatArray
 
 POSITION = ("lat_deg", "lon_deg", "alt_m")
+IMU = ("gyro_x_radps", "gyro_y_radps", "gyro_z_radps", "accel_x_mps2", "accel_y_mps2", "accel_z_mps2")
 ROLES: dict[str, tuple[str, ...]] = {
     "gnss": POSITION,
     "own": POSITION,
@@ -38,6 +42,8 @@ ROLES: dict[str, tuple[str, ...]] = {
     "radar": ("range_m",),
     "depth": ("depth_m",),
     "fusing": ("gnss",),
+    "airspeed": ("airspeed_mps",),
+    "imu": IMU,
 }
 SEA_LEVEL = "above mean sea level"
 ELLIPSOID = "above the WGS-84 ellipsoid"
@@ -163,6 +169,15 @@ def pressure_altitude_m(pressure_hpa: ArrayLike) -> FloatArray:
     pressure = np.array(pressure_hpa, dtype=np.float64)
     pressure[~(pressure > 0)] = np.nan
     return np.asarray(_ISA_M * (1.0 - (pressure / _ISA_HPA) ** _ISA_POWER))
+
+
+def true_airspeed_mps(equivalent_mps: ArrayLike, altitude_m: ArrayLike) -> FloatArray:
+    """True airspeed of what a pitot tube tells [m/s] at an altitude of the standard atmosphere, shapes that broadcast.
+
+    v = v_e sqrt(rho0 / rho), and up to 11 km rho / rho0 = (T / T0)^(1 / _ISA_POWER - 1), T / T0 = 1 - h / _ISA_M.
+    """
+    cooling = 1.0 - np.clip(np.asarray(altitude_m, dtype=np.float64), -1000.0, 11000.0) / _ISA_M
+    return np.asarray(np.asarray(equivalent_mps, dtype=np.float64) * cooling ** (-0.5 * (1.0 / _ISA_POWER - 1.0)))
 
 
 def velocity_from_course(speed_mps: ArrayLike, course_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:

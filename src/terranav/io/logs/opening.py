@@ -23,12 +23,13 @@ _MAGIC = {
     b"\x89MCAP0\r\n": "rosbag",
     b"SQLite format 3\0": "rosbag",
 }
+_WITH_IMU = ("dataflash", "ulog")
 _NMEA = re.compile(rb"[$!][A-Z]{1,2}[A-Z0-9]{2}[A-Z],[^\r\n]*", re.ASCII)
 #: a tlog's stamps lie in the years 2000 to 2100 [us since 1970]
 STAMPS_US = (946_684_800_000_000, 4_102_444_800_000_000)
 
 
-def open_log(path: str | Path, *, rate_hz: float = 10.0) -> Log:
+def open_log(path: str | Path, *, rate_hz: float = 10.0, imu: bool = False) -> Log:
     """Read the log of an autopilot, a robot, a receiver or a phone.
 
     Parameters
@@ -38,12 +39,15 @@ def open_log(path: str | Path, *, rate_hz: float = 10.0) -> Log:
         .mcap), NMEA 0183 text, or a phone's sensor CSV. What it is, is told by its content.
     rate_hz : float
         Epochs are thinned to this rate where the log has more than one and a half times as many [Hz], > 0.
+    imu : bool
+        Also read the inertial sensors where the log has them (DataFlash, ULog): they are most of such a log.
 
     Returns
     -------
     Log
         `recording`: epochs of the autopilot's own position (of the GNSS receiver where it logged none), the truth
-        (GNSS) in the columns true_*; `facts` and `remarks`: what was found, what GNSS went into, what is missing.
+        (GNSS) in the columns true_*; `facts` and `remarks`: what was found, what GNSS went into, what is missing;
+        `beside`: airspeed and, if asked for, inertial sensors.
 
     Raises
     ------
@@ -65,16 +69,17 @@ def open_log(path: str | Path, *, rate_hz: float = 10.0) -> Log:
         kind = "rosbag"
     else:
         kind = format_of(existing_file(file, _WHAT))
-    found = _read(kind, file)
+    found = _read(kind, file, imu)
     log = assembled(found, float(rate_hz))
     if not found.whole:
         warnings.warn(f"{file}: {found.remarks[0]}", DataWarning, stacklevel=2)
     return log
 
 
-def _read(kind: str, file: Path) -> Found:
+def _read(kind: str, file: Path, imu: bool) -> Found:
     """Read with the module of this kind of log."""
-    found: Found = importlib.import_module(f"terranav.io.logs.{kind}").read(file)
+    more = {"imu": True} if imu and kind in _WITH_IMU else {}
+    found: Found = importlib.import_module(f"terranav.io.logs.{kind}").read(file, **more)
     return found
 
 

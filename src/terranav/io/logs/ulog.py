@@ -9,6 +9,8 @@ Topics and their units, over the firmware's history (PX4 msg/*.msg):
   vehicle_local_position x, y, z [m, NED] about ref_lat, ref_lon, ref_alt, if xy_global says that they are known.
 - vehicle_attitude: quaternion, body (forward, right, down) to NED. vehicle_air_data: baro_alt_meter [m].
 - distance_sensor: current, min and max distance [m]; orientation 25 looks down; signal_quality 0 is an invalid reading.
+- airspeed_validated (airspeed) true_airspeed_m_s [m/s]. sensor_combined: gyro_rad [rad/s], accelerometer_m_s2 [m/s^2]
+  of the body's forward, right and down axes, means since the sample before.
 - estimator_status_flags cs_gps (cs_gnss_pos since 1.16), before 1.12 bit 2 of estimator_status control_mode_flags: the
   estimator used GNSS.
 """
@@ -24,7 +26,7 @@ from numpy.typing import NDArray
 
 from terranav.core.errors import DataError
 from terranav.core.recording import FloatArray
-from terranav.io.logs.found import PRESSURE, SEA_LEVEL, Found, Series, attitude_deg, pressure_altitude_m, series
+from terranav.io.logs.found import IMU, PRESSURE, SEA_LEVEL, Found, Series, attitude_deg, pressure_altitude_m, series
 from terranav.io.logs.raw import library, mapped, silent
 
 Topic = dict[str, NDArray[Any]]
@@ -39,6 +41,8 @@ _TOPICS = [
     "distance_sensor",
     "estimator_status",
     "estimator_status_flags",
+    "airspeed_validated",
+    "airspeed",
 ]
 _DOWN = 25
 _GPS_BIT = 1 << 2
@@ -80,12 +84,14 @@ class _Patient:
         """Do nothing."""
 
 
-def read(path: Path) -> Found:
+def read(path: Path, *, imu: bool = False) -> Found:
     """Read a PX4 log.
 
     Parameters
     ----------
     path : Path
+    imu : bool
+        Whether to read the inertial sensors.
 
     Returns
     -------
@@ -98,7 +104,7 @@ def read(path: Path) -> Found:
     ConfigError
         When pyulog is not installed.
     """
-    log, remarks, whole = _load(path)
+    log, remarks, whole = _load(path, [*_TOPICS, "sensor_combined"] if imu else _TOPICS)
     topics = _by_name(log)
     parts = px4_series(topics, remarks)
     utc = _start_utc(topics)
@@ -111,7 +117,7 @@ def read(path: Path) -> Found:
     return Found(path, "PX4 ULog", parts, _vehicle(log), utc, remarks, whole, in_order=False)
 
 
-def _load(path: Path) -> tuple[Any, list[str], bool]:
+def _load(path: Path, names: list[str]) -> tuple[Any, list[str], bool]:
     """The log as pyulog gives it, what is to be said of it, and whether all of it was read."""
     core = library("pyulog.core", path, "a PX4 log (.ulg)")
     remarks: list[str] = []
@@ -119,7 +125,7 @@ def _load(path: Path) -> tuple[Any, list[str], bool]:
         size, stream = len(data), _Patient(data)
         try:
             with silent(), np.errstate(all="ignore"):
-                log = core.ULog(stream, _TOPICS)
+                log = core.ULog(stream, names)
         except Exception as problem:  # noqa: BLE001 - on damage pyulog raises whatever the bytes lead it to
             told = str(problem).splitlines()[:1] or [type(problem).__name__]
             raise DataError(f"{path}: is damaged, or no PX4 log: {told[0]}") from None
@@ -245,8 +251,9 @@ def _on_sphere(
 
 
 def _others(topics: dict[str, list[Topic]]) -> list[Series | None]:
-    """Velocity, attitude, barometer, and whether GNSS was used."""
-    return [_velocity(topics), _attitude(topics), _baro(topics), _fusing(topics)]
+    """Velocity, attitude, barometer, airspeed, inertial sensors, and whether GNSS was used."""
+    made = (_velocity, _attitude, _baro, _airspeed, _imu, _fusing)
+    return [one(topics) for one in made]
 
 
 def _velocity(topics: dict[str, list[Topic]]) -> Series | None:
@@ -284,6 +291,26 @@ def _baro(topics: dict[str, list[Topic]]) -> Series | None:
             pressure = pressure / 100.0 if np.nanmedian(pressure) > 5000.0 else pressure
             values = {"altitude_m": pressure_altitude_m(pressure)}
             return series("baro", "sensor_baro", _time_s(topic), values, height=PRESSURE, uses_gnss=False)
+    return None
+
+
+def _airspeed(topics: dict[str, list[Topic]]) -> Series | None:
+    """The airspeed that the autopilot trusts, else the sensor's."""
+    for name in ("airspeed_validated", "airspeed"):
+        for topic in topics.get(name, []):
+            if "true_airspeed_m_s" in topic:
+                speed = np.where(topic["true_airspeed_m_s"] > 0, topic["true_airspeed_m_s"].astype(float), np.nan)
+                return series("airspeed", name, _time_s(topic), {"airspeed_mps": speed}, uses_gnss=False)
+    return None
+
+
+def _imu(topics: dict[str, list[Topic]]) -> Series | None:
+    """The inertial sensors that the estimator used."""
+    names = [f"{sensor}[{axis}]" for sensor in ("gyro_rad", "accelerometer_m_s2") for axis in range(3)]
+    for topic in topics.get("sensor_combined", []):
+        if _has(topic, *names):
+            values = dict(zip(IMU, (topic[name] for name in names), strict=True))
+            return series("imu", "sensor_combined", _time_s(topic), values, uses_gnss=False)
     return None
 
 
