@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from terranav.core.recording import Recording
 from terranav.core.records import Epoch, Measurement
 from terranav.sensors.altimeter import Altimeter, slant_factor
 from terranav.sensors.barometer import Barometer
-from terranav.sensors.ready import ready
+from terranav.sensors.ready import ReadyState, made_ready, ready
 
 
 def radar(value: float, sigma: float = 3.0) -> Measurement:
@@ -126,3 +127,19 @@ def test_a_live_stream_and_its_replay_give_the_same_bits() -> None:
 def test_impossible_settings_are_refused(settings: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(settings))):
         one(epoch(0.0), **settings)
+
+
+def test_a_stopped_stream_goes_on_with_the_same_bits() -> None:
+    rng = np.random.default_rng(2)
+    stream = [
+        epoch(float(i), *([baro(1500.0 + i)] if i % 3 == 0 else []), laser(float(h)), alt_m=1500.0 + 0.5 * i)
+        for i, h in enumerate(rng.uniform(100.0, 300.0, 20))
+    ]
+    whole = list(ready(stream))
+    state, parts = ReadyState(), []
+    for one_epoch in stream:
+        state, made = made_ready(pickle.loads(pickle.dumps(state)), one_epoch)
+        parts.append(made)
+    assert parts == whole
+    with pytest.raises(ConfigError, match="max_age_s"):
+        ReadyState(max_age_s=-1.0)

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from terranav.core.checks import finite
+from terranav.core.frozen import changed
 from terranav.core.recording import DEFAULT_RAW_SIGMA_M
 from terranav.core.records import Epoch, Measurement
 from terranav.sensors.altimeter import slant_factor
 
 RAW_KINDS = ("radar_altitude", "laser_altitude", "baro_altitude")
+MAX_AGE_S = 2.0
 
 
 def ready(
     epochs: Iterable[Epoch],
     *,
-    max_age_s: float = 2.0,
+    max_age_s: float = MAX_AGE_S,
     alt_sigma_m: float = DEFAULT_RAW_SIGMA_M["baro_altitude_m"],
 ) -> Iterator[Epoch]:
     """Turn the altimeter readings of a stream into terrain measurements.
@@ -50,20 +52,52 @@ def ready(
     ConfigError
         For an impossible setting, when the first epoch is asked for.
     """
-    finite("ready max_age_s", max_age_s, minimum=0.0)
-    finite("ready alt_sigma_m", alt_sigma_m, above=0.0)
-    baro: tuple[Epoch, Measurement] | None = None
+    state = ReadyState(max_age_s, alt_sigma_m)
     for epoch in epochs:
-        raw = {m.kind: m for m in epoch.measurements if m.kind in RAW_KINDS and math.isfinite(m.value)}
-        if "baro_altitude" in raw:
-            baro = epoch, raw["baro_altitude"]
-        kept = tuple(m for m in epoch.measurements if m.kind not in RAW_KINDS)
-        clearance = _clearance(raw, epoch.attitude_deg)
-        if clearance is not None and not any(m.kind == "terrain" for m in kept):
-            altitude = _altitude(epoch, baro, max_age_s, alt_sigma_m)
-            sigma = math.hypot(altitude.sigma, clearance.sigma)
-            kept = (*kept, Measurement("terrain", altitude.value - clearance.value, sigma))
-        yield epoch if len(kept) == len(epoch.measurements) and not raw else replace(epoch, measurements=kept)
+        state, made = made_ready(state, epoch)
+        yield made
+
+
+@dataclass(frozen=True, slots=True)
+class ReadyState:
+    """What `ready` knows between two epochs, so that a live stream can be stopped and resumed.
+
+    Attributes
+    ----------
+    max_age_s, alt_sigma_m : float
+        As in `ready`.
+    barometer : (Epoch, Measurement) or None
+        Its latest reading, and the epoch that had it.
+
+    Raises
+    ------
+    ConfigError
+        For an impossible setting.
+    """
+
+    max_age_s: float = MAX_AGE_S
+    alt_sigma_m: float = DEFAULT_RAW_SIGMA_M["baro_altitude_m"]
+    barometer: tuple[Epoch, Measurement] | None = None
+
+    def __post_init__(self) -> None:
+        finite("ready max_age_s", self.max_age_s, minimum=0.0)
+        finite("ready alt_sigma_m", self.alt_sigma_m, above=0.0)
+
+
+def made_ready(state: ReadyState, epoch: Epoch) -> tuple[ReadyState, Epoch]:
+    """One step of `ready`: the state after an epoch, and the epoch made ready."""
+    raw = {m.kind: m for m in epoch.measurements if m.kind in RAW_KINDS and math.isfinite(m.value)}
+    if "baro_altitude" in raw:
+        state = changed(state, barometer=(epoch, raw["baro_altitude"]))
+    kept = tuple(m for m in epoch.measurements if m.kind not in RAW_KINDS)
+    clearance = _clearance(raw, epoch.attitude_deg)
+    if clearance is not None and not any(m.kind == "terrain" for m in kept):
+        altitude = _altitude(epoch, state)
+        sigma = math.hypot(altitude.sigma, clearance.sigma)
+        kept = (*kept, Measurement("terrain", altitude.value - clearance.value, sigma))
+    if len(kept) == len(epoch.measurements) and not raw:
+        return state, epoch
+    return state, replace(epoch, measurements=kept)
 
 
 def _clearance(raw: dict[str, Measurement], attitude_deg: tuple[float, float, float] | None) -> Measurement | None:
@@ -77,11 +111,9 @@ def _clearance(raw: dict[str, Measurement], attitude_deg: tuple[float, float, fl
     return replace(slant, value=slant.value * factor, sigma=slant.sigma * abs(factor))
 
 
-def _altitude(
-    epoch: Epoch, baro: tuple[Epoch, Measurement] | None, max_age_s: float, alt_sigma_m: float
-) -> Measurement:
+def _altitude(epoch: Epoch, state: ReadyState) -> Measurement:
     """The altitude that goes with an altimeter reading."""
-    if baro is not None and 0.0 <= epoch.time_s - baro[0].time_s <= max_age_s:
-        then, reading = baro
+    if state.barometer is not None and 0.0 <= epoch.time_s - state.barometer[0].time_s <= state.max_age_s:
+        then, reading = state.barometer
         return replace(reading, value=reading.value + (epoch.alt_m - then.alt_m))
-    return Measurement("baro_altitude", epoch.alt_m, alt_sigma_m)
+    return Measurement("baro_altitude", epoch.alt_m, state.alt_sigma_m)
