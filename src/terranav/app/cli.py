@@ -19,6 +19,7 @@ from terranav.app.commands.cue import cue
 from terranav.app.commands.demo import demo
 from terranav.app.commands.estimators import estimators
 from terranav.app.commands.locate import locate
+from terranav.app.commands.replay import replay
 from terranav.app.commands.reproduce import reproduce
 from terranav.app.commands.route import route
 from terranav.app.commands.run import run
@@ -37,7 +38,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, compare, simulate, convert, cue, locate, campaign, study, bench):
+for command in (demo, run, compare, simulate, convert, replay, cue, locate, campaign, study, bench):
     app.command()(command)
 app.add_typer(maps.app, name="map")
 plan.app.command()(route)
