@@ -1,0 +1,151 @@
+"""The navigator of the live engine: the loop of `experiment.stream` an epoch at a time, its state plain data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from terranav.core.earth import offset_of, shifted
+from terranav.core.errors import ConfigError, DataError
+from terranav.core.records import Epoch, Estimate, Measurement, Prior, Status
+from terranav.experiment.datums import DatumGuard, allows_offset
+from terranav.experiment.registry import make_estimator
+from terranav.experiment.run import needs_maps, rng_of
+from terranav.experiment.stream import states
+from terranav.live.settings import LiveSettings
+from terranav.live.track import Break, Track
+from terranav.maps.datum import Shift, agreed_datum, between, stated_datum
+from terranav.maps.map import Map
+from terranav.sensors.ready import ReadyState, made_ready
+
+_MEASURED = ("terrain", "bathymetry")  # the kinds of which live messages hold readings
+_GEOID_M = 200.0  # the geoid's height is looked up anew after so far; it slopes by less than 0.14 m per km
+
+
+@dataclass(slots=True)
+class Memory:
+    """All that changes from epoch to epoch.
+
+    Attributes
+    ----------
+    rng : Generator
+    prior : Prior
+        Of the next start.
+    state : state of the estimator, None before the first epoch since a start
+    ready : ReadyState
+    epoch : Epoch or None
+        The latest, made ready.
+    estimate : Estimate or None
+    began_s : float
+        Time of the first epoch.
+    starts : int
+        How many times the estimator was started.
+    """
+
+    rng: Generator
+    prior: Prior
+    ready: ReadyState
+    state: Any = None
+    epoch: Epoch | None = None
+    estimate: Estimate | None = None
+    began_s: float = math.nan
+    starts: int = 0
+    geoid: tuple[float, float, float] | None = None
+    unanswered: set[str] = field(default_factory=set)
+
+
+class Navigator:
+    """Steps an estimator; what it is made of does not change, what does is its `memory`.
+
+    Raises
+    ------
+    ConfigError
+        No map of a kind that live messages hold readings of, or settings that the estimator does not take.
+    DataError
+        Vertical datums that cannot be brought together.
+    """
+
+    def __init__(self, settings: LiveSettings, maps: Sequence[Map]) -> None:
+        self.maps = tuple(maps)
+        self.settings = settings
+        kinds = {chart.kind for chart in self.maps}
+        if needs_maps(settings.estimator) and not kinds & set(_MEASURED):
+            raise ConfigError(
+                f"the maps are of kind {', '.join(sorted(kinds)) or 'none'}, expected terrain or bathymetry: "
+                "live messages hold readings of no other"
+            )
+        self.grade = settings.grade
+        self.estimator = make_estimator(settings.estimator, self.maps, self.grade, **settings.estimator_settings)
+        self.shift, self.doubt = self._levelled()
+        ready = ReadyState(alt_sigma_m=settings.sigma_of("baro_altitude_m"))
+        self.memory = Memory(rng_of(settings.estimator, settings.seed), Prior.from_ins(self.grade), ready)
+
+    def _levelled(self) -> tuple[Shift | None, str]:
+        """What brings altitudes to the datum of the terrain map, and what that leaves out."""
+        told = self.settings
+        own = [chart for chart in self.maps if chart.kind == "terrain"]
+        source = stated_datum(told.alt_datum, "alt_datum")
+        target = agreed_datum((chart.name, chart.datum) for chart in own)
+        if source is None or target is None:
+            return None, ""
+        guard = DatumGuard(told.geoid, allows_offset(told.estimator, told.estimator_settings))
+        what = f"the vehicle's altitudes count from {source}, but the map {own[0].name} from {target}"
+        try:
+            found = between(source, target, guard.find)
+        except DataError as problem:
+            raise DataError(f"{what}: {problem}") from None
+        if not found.bounded and not guard.allows_offset:
+            raise DataError(f"{what}: {found.doubt}, and this estimator does not allow for it")
+        return found if found.geoids else None, f"{what}: {found.doubt}" if found.doubt else ""
+
+    def step(self, raw: Epoch) -> Estimate:
+        """The estimate after one more epoch."""
+        memory = self.memory
+        memory.ready, epoch = made_ready(memory.ready, raw)
+        if self.shift is not None:
+            added = self._geoid_m(self.shift, epoch)
+            epoch = replace(epoch, measurements=tuple(_raised(one, added) for one in epoch.measurements))
+        if memory.state is None:
+            memory.starts += 1
+            memory.began_s = epoch.time_s if math.isnan(memory.began_s) else memory.began_s
+        (memory.state,) = states(self.estimator, memory.prior, (epoch,), memory.rng, resume=memory.state)
+        memory.epoch, memory.estimate = epoch, self.estimator.estimate(memory.state)
+        return memory.estimate
+
+    def _geoid_m(self, shift: Shift, epoch: Epoch) -> float:
+        """What to add to altitudes here, looked up every few hundred metres [m]."""
+        known = self.memory.geoid
+        if known is None or math.hypot(*offset_of(*known[:2], epoch.lat_deg, epoch.lon_deg)) > _GEOID_M:
+            added = float(shift.heights(epoch.lat_deg, epoch.lon_deg))
+            known = self.memory.geoid = (epoch.lat_deg, epoch.lon_deg, added)
+        return known[2]
+
+    def restart(self, track: Track, broken: Break) -> None:
+        """Start anew where the track broke: at the corrected position, as uncertain as the break makes it."""
+        memory = self.memory
+        estimate = memory.estimate
+        if estimate is None or memory.state is None:
+            return
+        known = estimate.status in (Status.CONVERGED, Status.DEGRADED)
+        cov = np.array(estimate.cov_m2)
+        if known:
+            last = track.nodes[-1]
+            north, east = -estimate.ins_error_m
+            track.moved(*shifted(last.lat_deg, last.lon_deg, float(north), float(east)))
+        else:
+            elapsed = track.newest_s - memory.began_s
+            grown = self.grade.position_sigma_m**2 + self.grade.position_growth_m2(0.0, max(elapsed, 0.0))
+            cov = np.eye(2) * max(grown, float(np.linalg.eigvalsh(cov)[-1]))
+        memory.prior = Prior(np.zeros(2), cov + np.eye(2) * broken.spread_m**2)
+        memory.state = None
+        memory.ready = replace(memory.ready, barometer=None)
+
+
+def _raised(reading: Measurement, added_m: float) -> Measurement:
+    """A terrain height above another datum; any other reading as it is."""
+    return replace(reading, value=reading.value + added_m) if reading.kind == "terrain" else reading
