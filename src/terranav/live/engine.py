@@ -74,8 +74,6 @@ class Engine:
         self._digest = settings.digest(self._navigator.maps)
         listening = Listening(settings.system_id, settings.silent_s)
         self._state = _State(listening, Assembly(settings), self._navigator.memory)
-        if self._navigator.doubt:
-            self._state.book.say("warning", "vertical datum", self._navigator.doubt)
 
     def feed(self, packet: Packet) -> list[Fix | Remark]:
         """Hear one packet; what there is to say because of it, in order.
@@ -87,7 +85,10 @@ class Engine:
         """
         state = self._state
         state.packets += 1
-        if state.listening.arrives(packet, state.book):
+        wanted = state.listening.arrives(packet, state.book)
+        if state.packets == 1 and self._navigator.doubt:
+            state.book.say("warning", "vertical datum", self._navigator.doubt)
+        if wanted:
             heard = self._heard(packet.data)
             if heard is not None:
                 self._hear(heard, packet)
@@ -266,7 +267,7 @@ def facts_of(state: _State, settings: LiveSettings) -> dict[str, Any]:
         "duplicates": listening.doubled,
         "damaged": state.damaged,
         "not_understood": state.alien,
-        "readings": dict(assembly.counts),
+        "readings": {**assembly.counts, "spared": state.memory.spared},
         "fixes": state.fixes,
         "usable": state.usable,
         "usable_share": state.usable / state.fixes if state.fixes else 0.0,

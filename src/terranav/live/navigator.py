@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from terranav.maps.map import Map
 from terranav.sensors.ready import ReadyState, made_ready
 
 _MEASURED = ("terrain", "bathymetry")  # the kinds of which live messages hold readings
+_LONGEST_S = 30.0  # a vehicle that stands still is not thought to hear nothing
 _GEOID_M = 200.0  # the geoid's height is looked up anew after so far; it slopes by less than 0.14 m per km
 
 
@@ -45,6 +46,12 @@ class Memory:
         Time of the first epoch.
     starts : int
         How many times the estimator was started.
+    geoid : (lat, lon, added), optional
+        What is added to altitudes here.
+    used : Epoch or None
+        The latest whose readings were used.
+    spared : int
+        Epochs whose readings were too near to those before.
     """
 
     rng: Generator
@@ -56,7 +63,8 @@ class Memory:
     began_s: float = math.nan
     starts: int = 0
     geoid: tuple[float, float, float] | None = None
-    unanswered: set[str] = field(default_factory=set)
+    used: Epoch | None = None
+    spared: int = 0
 
 
 class Navigator:
@@ -80,6 +88,7 @@ class Navigator:
                 "live messages hold readings of no other"
             )
         self.grade = settings.grade
+        self.spacing_m = settings.spacing_cells * min((chart.cell_m for chart in self.maps), default=0.0)
         self.estimator = make_estimator(settings.estimator, self.maps, self.grade, **settings.estimator_settings)
         self.shift, self.doubt = self._levelled()
         ready = ReadyState(alt_sigma_m=settings.sigma_of("baro_altitude_m"))
@@ -110,12 +119,26 @@ class Navigator:
         if self.shift is not None:
             added = self._geoid_m(self.shift, epoch)
             epoch = replace(epoch, measurements=tuple(_raised(one, added) for one in epoch.measurements))
+        epoch = self._spaced(epoch)
         if memory.state is None:
             memory.starts += 1
             memory.began_s = epoch.time_s if math.isnan(memory.began_s) else memory.began_s
         (memory.state,) = states(self.estimator, memory.prior, (epoch,), memory.rng, resume=memory.state)
         memory.epoch, memory.estimate = epoch, self.estimator.estimate(memory.state)
         return memory.estimate
+
+    def _spaced(self, epoch: Epoch) -> Epoch:
+        """The epoch without its readings where the vehicle has hardly moved since the last that were used."""
+        memory, used = self.memory, self.memory.used
+        if not epoch.measurements:
+            return epoch
+        if used is not None and epoch.time_s - used.time_s < _LONGEST_S:
+            moved_m = math.hypot(*offset_of(used.lat_deg, used.lon_deg, epoch.lat_deg, epoch.lon_deg))
+            if moved_m < self.spacing_m:
+                memory.spared += 1
+                return replace(epoch, measurements=())
+        memory.used = epoch
+        return epoch
 
     def _geoid_m(self, shift: Shift, epoch: Epoch) -> float:
         """What to add to altitudes here, looked up every few hundred metres [m]."""
@@ -144,6 +167,7 @@ class Navigator:
         memory.prior = Prior(np.zeros(2), cov + np.eye(2) * broken.spread_m**2)
         memory.state = None
         memory.ready = replace(memory.ready, barometer=None)
+        memory.used = None
 
 
 def _raised(reading: Measurement, added_m: float) -> Measurement:

@@ -57,6 +57,10 @@ class LiveSettings:
         The MAVLink vehicle to hear; else the first that is heard.
     rate_hz : float
         Most epochs [Hz].
+    spacing_cells : float
+        A reading is used once the vehicle has moved by so much of the finest map's cell since the last that was: closer
+        together they see the same ground, while the navigator and its monitor take their errors for independent. 0 uses
+        all.
     lag_s : float
         How long a reading may wait for position and attitude of its own time [s].
     max_gap_s : float
@@ -90,6 +94,7 @@ class LiveSettings:
     geoid: Given = None
     system_id: int | None = None
     rate_hz: float = 10.0
+    spacing_cells: float = 0.5
     lag_s: float = 0.25
     max_gap_s: float = 3.0
     frozen_s: float = 5.0
@@ -119,6 +124,7 @@ class LiveSettings:
             finite(key, getattr(self, key), above=0.0)
         finite("rate_hz", self.rate_hz, maximum=100.0)
         finite("lag_s", self.lag_s, minimum=0.0, maximum=2.0)
+        finite("spacing_cells", self.spacing_cells, minimum=0.0, maximum=100.0)
         finite("warn_ahead_s", self.warn_ahead_s, minimum=0.0, maximum=3600.0)
         object.__setattr__(self, "estimator_settings", MappingProxyType(dict(self.estimator_settings)))
         object.__setattr__(self, "sigma", MappingProxyType(dict(self.sigma)))
