@@ -11,7 +11,7 @@ from typing import Any
 from terranav.core.earth import shifted
 from terranav.live.mavlink_in import dialect, message_number
 from terranav.live.mavlink_out import AUTOPILOT, EXTERNAL_POSITION_ESTIMATE, ONBOARD_COMPUTER, Origin
-from terranav.live.records import Remark
+from terranav.live.records import Packet, Remark
 
 _HEARTBEAT, _LOCAL, _GLOBAL, _ORIGIN, _ACK, _TIMESYNC = 0, 32, 33, 49, 77, 111
 _WANTED = frozenset((_HEARTBEAT, _LOCAL, _GLOBAL, _ORIGIN, _ACK, _TIMESYNC))
@@ -42,6 +42,8 @@ class Autopilot:
         'ardupilot', 'px4', 'other', None before the first heartbeat.
     number : int
         MAV_AUTOPILOT as it said.
+    link : int or None
+        The input link that its heartbeat came over last.
     origin : (lat, lon [deg], alt [m]) or None
         Of its local frame: as it told, else from a local and a global position of one time.
     answers : Counter
@@ -54,6 +56,7 @@ class Autopilot:
         self._decoder: Any = None
         self.system, self.number = system_id, -1
         self.kind: str | None = None
+        self.link: int | None = None
         self.origin: Origin | None = None
         self.told_origin = False
         self.answers: Counter[str] = Counter()
@@ -61,8 +64,9 @@ class Autopilot:
         self._local: Any = None
         self._global: Any = None
 
-    def hear(self, frame: bytes, stamp_us: int) -> list[Remark]:
-        """Take one frame of any message; those that tell nothing here cost a look at their number."""
+    def hear(self, packet: Packet) -> list[Remark]:
+        """Take one packet of any message; those that tell nothing here cost a look at their number."""
+        frame = packet.data
         number = message_number(frame)
         if number is None or number not in _WANTED:
             return []
@@ -72,12 +76,12 @@ class Autopilot:
             message = self._decoder.decode(bytearray(frame))
         except Exception:  # noqa: BLE001 - whatever pymavlink raises at damage: the engine counts it
             return []
-        return list(self._take(number, *sender(frame), message, stamp_us))
-
-    def _take(self, number: int, system: int, component: int, message: Any, stamp_us: int) -> list[Remark]:
-        """One decoded message."""
         if number == _HEARTBEAT:
-            return self._heartbeat(system, component, message, stamp_us)
+            return self._heartbeat(*sender(frame), message, packet)
+        return self._take(number, sender(frame)[0], message, packet.stamp_us)
+
+    def _take(self, number: int, system: int, message: Any, stamp_us: int) -> list[Remark]:
+        """One decoded message."""
         if system != self.system:
             return []
         if number == _ACK:
@@ -94,19 +98,22 @@ class Autopilot:
             self._from_both()
         return []
 
-    def _heartbeat(self, system: int, component: int, message: Any, stamp_us: int) -> list[Remark]:
+    def _heartbeat(self, system: int, component: int, message: Any, packet: Packet) -> list[Remark]:
         """Who is there; a ground station, a camera or ourselves is no vehicle."""
         if message.autopilot == _NO_AUTOPILOT or message.type == _GROUND_STATION or component == ONBOARD_COMPUTER:
             return []
         if self.system is None:
             self.system = system
-        if system != self.system or component != AUTOPILOT or message.autopilot == self.number:
+        if system != self.system or component != AUTOPILOT:
+            return []
+        self.link = packet.link
+        if message.autopilot == self.number:
             return []
         self.number = int(message.autopilot)
         self.kind = _KINDS.get(self.number, "other")
         named = {"ardupilot": "ArduPilot", "px4": "PX4"}.get(self.kind)
         text = f"vehicle {system} is {named}" if named else f"vehicle {system}: autopilot {self.number} is not known"
-        return [Remark(stamp_us, "info" if named else "warning", "autopilot", text)]
+        return [Remark(packet.stamp_us, "info" if named else "warning", "autopilot", text)]
 
     def _answer(self, message: Any, stamp_us: int) -> list[Remark]:
         """What became of a reset."""
