@@ -55,7 +55,7 @@ class Flight:
     system: int = 1
     kind: int = 3
     start_s: float = BOOT_S
-    clearance_m: float = 400.0
+    clearance_m: float = 300.0
     truth: dict[str, FloatArray] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -69,7 +69,9 @@ class Flight:
         east = np.concatenate([[0.0], np.cumsum(0.5 * (ve[1:] + ve[:-1]) * step)])
         lat, lon = shift(*chart().centre_deg, north - 500.0, east)
         ground = chart().sample(lat, lon)
-        alt = np.full(t.size, float(np.median(ground)) + self.clearance_m) + 10.0 * np.sin(t / 23.0)
+        window = np.hanning(round(60.0 * self.rate_hz))
+        padded = np.pad(ground, window.size // 2, mode="edge")
+        alt = np.convolve(padded, window / window.sum(), mode="valid")[: t.size] + self.clearance_m
         truth = {
             "time_s": t, "lat_deg": lat, "lon_deg": lon, "alt_m": alt, "ground_m": ground, "vn": vn, "ve": ve,
             "vd": -np.gradient(alt, t), "roll": np.radians(15.0) * np.sin(t / 7.0), "heading": heading,

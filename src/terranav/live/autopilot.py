@@ -111,9 +111,10 @@ class Autopilot:
             return []
         self.number = int(message.autopilot)
         self.kind = _KINDS.get(self.number, "other")
-        named = {"ardupilot": "ArduPilot", "px4": "PX4"}.get(self.kind)
-        text = f"vehicle {system} is {named}" if named else f"vehicle {system}: autopilot {self.number} is not known"
-        return [Remark(packet.stamp_us, "info" if named else "warning", "autopilot", text)]
+        if self.kind != "other":
+            return []
+        text = f"autopilot {self.number} is neither ArduPilot nor PX4: nothing is sent to it unless --send says what"
+        return [Remark(packet.stamp_us, "warning", "autopilot not known", text)]
 
     def _answer(self, message: Any, stamp_us: int) -> list[Remark]:
         """What became of a reset."""

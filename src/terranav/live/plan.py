@@ -98,3 +98,12 @@ class Plan:
             raise ConfigError(f"--record {folder}: holds {source.name}, which is read; expected another folder")
         if files and not self.fresh:
             raise ConfigError(f"--record {folder}: holds a run; give another folder, or --fresh to remove that run")
+
+    def check_resume(self, asked: bool) -> None:
+        """Raise ConfigError where a run is to go on that is not there."""
+        if not asked:
+            return
+        if self.folder is None or self.fresh:
+            raise ConfigError("--resume needs --record DIR with the run to go on with, and no --fresh")
+        if not (self.folder / RECEIVED).exists():
+            raise ConfigError(f"--resume: {self.folder} holds no run to go on with, expected {RECEIVED} in it")

@@ -116,6 +116,8 @@ class Recorder:
 
     def frame(self, packet: Packet) -> None:
         """The same in the log of its link alone."""
+        if not packet.data:
+            return  # the word that time passes
         if packet.data[:1] in (b"\xfd", b"\xfe"):
             self._write(f"link{packet.link}.tlog", _STAMP.pack(packet.stamp_us) + packet.data)
         else:

@@ -163,7 +163,9 @@ class Live:
         """Take packets out of the queue until there are no more to come."""
         while True:
             for _ in range(min(_BATCH, len(self._waiting))):
-                self._take(*self._waiting.popleft())
+                packet, arrived_s = self._waiting.popleft()
+                # what a file holds did not come in while it waited for its turn
+                self._take(packet, arrived_s if self._heard_on else time.perf_counter())
             self._logbook.flush()
             if self._waiting:
                 await asyncio.sleep(0)
@@ -183,7 +185,8 @@ class Live:
         self._now = packet.stamp_us, arrived_s
         self._logbook.packet(packet)
         for remark in self.autopilot.hear(packet):
-            self._note(remark)
+            if self.plan.outputs:
+                self._note(remark)
         for one in self.session.take(packet):
             if isinstance(one, Remark):
                 self._note(one)

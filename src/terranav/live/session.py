@@ -51,9 +51,10 @@ class Session:
         self.digest = bytes(32)
         self.first_us = self.last_us = 0
         self.newest: Fix | None = None
+        self._failed_by: set[type[Exception]] = set()
 
     def take(self, packet: Packet) -> list[Fix | Remark]:
-        """Feed one packet; a failure of the engine costs what came of it, and is remarked on."""
+        """Feed one packet; a failure of the engine costs what came of it, and its kind is remarked on once."""
         self.packets += 1
         self.first_us = self.first_us or packet.stamp_us
         self.last_us = packet.stamp_us
@@ -61,6 +62,9 @@ class Session:
             said = self.engine.feed(packet)
         except Exception as problem:  # noqa: BLE001 - in flight nothing that comes in may end the program
             self.faults += 1
+            if type(problem) in self._failed_by:
+                return []
+            self._failed_by.add(type(problem))
             text = f"the engine failed at packet {self.packets}: {type(problem).__name__}: {problem}"
             return [Remark(packet.stamp_us, "error", "engine fault", " ".join(text.split()))]
         for one in said:
