@@ -17,7 +17,9 @@ from terranav.app.commands.compare import compare
 from terranav.app.commands.convert import convert
 from terranav.app.commands.cue import cue
 from terranav.app.commands.demo import demo
+from terranav.app.commands.doctor import doctor
 from terranav.app.commands.estimators import estimators
+from terranav.app.commands.live import live
 from terranav.app.commands.locate import locate
 from terranav.app.commands.replay import replay
 from terranav.app.commands.reproduce import reproduce
@@ -45,6 +47,8 @@ plan.app.command()(route)
 app.add_typer(plan.app, name="plan")
 app.command()(reproduce)
 app.command()(estimators)
+app.command()(live)
+app.command()(doctor)
 
 
 def _version(wanted: bool) -> None:

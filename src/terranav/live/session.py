@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from terranav.core.earth import shifted
 from terranav.core.errors import ConfigError, DataError, StateError, TerranavError
 from terranav.core.records import Epoch, Measurement
 from terranav.live import checkpoints
@@ -23,6 +24,7 @@ from terranav.live.settings import LiveSettings
 from terranav.maps.map import Map
 
 _KEPT_DELAYS = 20_000
+_WARM_S = 150
 
 
 class Session:
@@ -80,13 +82,15 @@ class Session:
         if self.fixes or not self._maps:
             return
         chart = self._maps[0]
-        lat, lon = chart.centre_deg
-        value = float(chart.sample(lat, lon))
-        reading = Measurement(chart.kind, value if math.isfinite(value) else 0.0, 1.0)
+        lat0, lon0 = chart.centre_deg
         with suppress(TerranavError):
             navigator = Navigator(self._settings, self._maps)
-            for time_s in range(3):
-                navigator.step(Epoch(float(time_s), lat, lon, 0.0, (1.0, 1.0, 0.0), (0.0, 0.0, 0.0), (reading,)))
+            # long enough to find itself: what watches a fix runs only once there is one
+            for second in range(_WARM_S):
+                lat, lon = shifted(lat0, lon0, 50.0 * (second - 0.5 * _WARM_S), 0.0)
+                value = float(chart.sample(lat, lon))
+                reading = (Measurement(chart.kind, value, 3.0),) if math.isfinite(value) else ()
+                navigator.step(Epoch(float(second), lat, lon, 0.0, (50.0, 0.0, 0.0), (0.0, 0.0, 0.0), reading))
 
     def saved(self, received_bytes: int) -> tuple[dict[str, Any], bytes]:
         """What a checkpoint holds, for a recording that is so long now."""
