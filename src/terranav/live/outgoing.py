@@ -160,15 +160,19 @@ class Pace:
     rate_hz: float
     correlation_s: float
     last_us: int = -(1 << 62)
+    next_us: float = -math.inf
 
     def due(self, stamp_us: int) -> bool:
-        """Whether a fix of this time may be sent; one in a stream that is a little fast is."""
-        return stamp_us - self.last_us >= 0.9e6 / self.rate_hz or stamp_us < self.last_us - 5_000_000
+        """Whether a fix of this time may be sent; also one that is a little early, and any after the time was set."""
+        return stamp_us >= self.next_us - 0.05e6 / self.rate_hz or stamp_us < self.last_us - 5_000_000
 
     def taken(self, stamp_us: int) -> float:
         """Note that a fix of this time is sent, and return the factor for its variance."""
-        apart_s = (stamp_us - self.last_us) * 1e-6
+        apart_s, period_us = (stamp_us - self.last_us) * 1e-6, 1e6 / self.rate_hz
         self.last_us = stamp_us
+        # in step with the ones before, so that early ones do not add up
+        in_step = abs(stamp_us - self.next_us) < period_us
+        self.next_us = (self.next_us if in_step else stamp_us) + period_us
         if self.correlation_s <= 0.0 or not 0.0 < apart_s < 20.0 * self.correlation_s:
             return 1.0
         return 1.0 / math.tanh(0.5 * apart_s / self.correlation_s)
