@@ -43,6 +43,8 @@ class Flight:
     seed : int
     drift_mps : (north, east)
         The error of the velocity that the autopilot tells.
+    wind_mps : (north, east)
+        Of the air that the airspeed is told in [m/s].
     system : int
     kind : int
         Of the altimeter: 0 laser, 3 radar.
@@ -52,6 +54,7 @@ class Flight:
     rate_hz: float = 10.0
     seed: int = 1
     drift_mps: tuple[float, float] = (0.6, -0.4)
+    wind_mps: tuple[float, float] = (0.0, 0.0)
     system: int = 1
     kind: int = 3
     start_s: float = BOOT_S
@@ -72,9 +75,10 @@ class Flight:
         window = np.hanning(round(60.0 * self.rate_hz))
         padded = np.pad(ground, window.size // 2, mode="edge")
         alt = np.convolve(padded, window / window.sum(), mode="valid")[: t.size] + self.clearance_m
+        nose = np.arctan2(ve - self.wind_mps[1], vn - self.wind_mps[0])
         truth = {
             "time_s": t, "lat_deg": lat, "lon_deg": lon, "alt_m": alt, "ground_m": ground, "vn": vn, "ve": ve,
-            "vd": -np.gradient(alt, t), "roll": np.radians(15.0) * np.sin(t / 7.0), "heading": heading,
+            "vd": -np.gradient(alt, t), "roll": np.radians(15.0) * np.sin(t / 7.0), "heading": nose,
             "height_m": alt - ground + rng.normal(0.0, 2.0, t.size),
             "baro_m": alt + 23.0 + rng.normal(0.0, 0.5, t.size),
         }  # fmt: skip
@@ -101,7 +105,7 @@ class Flight:
                 ms * 1000, 3, round(true["lat_deg"] * 1e7), round(true["lon_deg"] * 1e7), round(true["alt_m"] * 1e3),
                 80, 80, 4500, 0, 12,
             )  # fmt: skip
-        roll, heading = true["roll"], (true["heading"] + math.pi) % (2.0 * math.pi) - math.pi
+        roll, heading = true["roll"], true["heading"]
         yield dialect.MAVLink_attitude_message(ms, roll, 0.0, heading, 0.0, 0.0, 0.0)
         vn, ve = true["vn"] + self.drift_mps[0], true["ve"] + self.drift_mps[1]
         yield dialect.MAVLink_global_position_int_message(
@@ -115,7 +119,10 @@ class Flight:
         yield dialect.MAVLink_distance_sensor_message(
             ms, 100, 65500, round(slant * 100.0) if within else 65500, self.kind, 0, 25, 255
         )
-        yield dialect.MAVLink_vfr_hud_message(45.0, 45.0, 0, 50, true["alt_m"], -true["vd"])
+        wind = self.wind_mps
+        through = math.hypot(true["vn"] - wind[0], true["ve"] - wind[1])
+        calibrated = through * math.sqrt((1.0 - true["alt_m"] / 44330.77) ** 4.2559)
+        yield dialect.MAVLink_vfr_hud_message(calibrated, 45.0, 0, 50, true["alt_m"], -true["vd"])
 
     def packets(self, link: int = 0, delay_s: float = 0.005) -> list[Packet]:
         """As they come in."""

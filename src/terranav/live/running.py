@@ -192,8 +192,9 @@ class Live:
                 self._note(one)
                 continue
             self._logbook.fix(self.session.packets, one)
-            left = [output.send(one, self.now_us()) for output in self.outputs.all]
-            if one.usable and arrived_s >= self._ready_s and (any(left) or not left):
+            for output in self.outputs.all:
+                output.send(one, self.now_us())
+            if one.usable and arrived_s >= self._ready_s:
                 self.since_measured.add((self.now_us() - one.stamp_us) * 1e-6)
                 self.since_arrived.add(time.perf_counter() - arrived_s)
 
