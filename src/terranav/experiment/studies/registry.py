@@ -12,6 +12,7 @@ _HOMES = {
     "bound": "bound",
     "consistency": "consistency",
     "integrity": "integrity_study",
+    "monitor": "monitor",
     "plan": "plan",
     "real": "real",
     "robust": "robust",
