@@ -94,13 +94,29 @@ def test_view_says_in_words_what_it_did(
 
 
 def test_a_large_map_is_thinned_with_a_note() -> None:
-    view = view_of(CHART, longest=25)
-    assert view.values.shape == (25, 25)
+    view = view_of(CHART, longest=35)
+    assert view.values.shape == (35, 35)
     assert view.thinned
-    assert "thinned to 25 x 25" in view.note
-    lat, lon = 46.0 - 0.39 * 7 / 24, 10.0 + 0.59 * 5 / 24
+    assert "thinned to 35 x 35" in view.note
+    lat, lon = 46.0 - 0.39 * 7 / 34, 10.0 + 0.59 * 5 / 34
     np.testing.assert_allclose(view.values[7, 5], CHART.sample(lat, lon))
     assert view_of(CHART).note == ""
+
+
+def test_a_larger_map_is_thinned_to_means_that_are_lit_as_what_they_are() -> None:
+    rng = np.random.default_rng(6)
+    slope = 5.0 * np.arange(400.0)[:, None] + 2.0 * np.arange(300.0)[None, :]
+    chart = Map(slope + rng.normal(0.0, 30.0, slope.shape), (0.001, 0.0, 9.9995, 0.0, -0.001, 46.0005), name="hill")
+    view = view_of(chart, longest=20)
+    assert view.means_of == (20, 15)
+    assert "thinned to 20 x 20 samples of means of 20 x 15 cells" in view.note
+    np.testing.assert_allclose(view.box, [45.6005, 9.9995, 46.0005, 10.2995], atol=1e-9)
+    np.testing.assert_allclose(view.values, slope.reshape(20, 20, 20, 15).mean(axis=(1, 3)), atol=9.0)
+    title = map_picture(chart, view).axes[0].get_title(loc="left")
+    assert title.startswith("hill\n400 x 300 cells of 93 m")
+    means = np.asarray(chart.values, dtype=np.float64).reshape(20, 20, 20, 15).mean(axis=(1, 3))
+    coarse = view_of(Map(means, (0.015, 0.0, 9.9995, 0.0, -0.02, 46.0005)))
+    np.testing.assert_allclose(relief(view, "terrain"), relief(coarse, "terrain"), atol=1e-4)
 
 
 def test_a_projected_map_is_said_to_be_resampled() -> None:

@@ -224,7 +224,7 @@ def test_one_geoid_is_enough_to_give() -> None:
             "ellipsoid",
             BOTH,
             DataError,
-            r"^hills: the map's vertical datum is unknown, expected one \(open",
+            r"^hills: the map's vertical datum is unknown, expected one \(datum=",
         ),
         (a_map("EGM96"), "EGM69", BOTH, ConfigError, r"^datum is 'EGM69' \(did you mean"),
         (a_map("EGM96"), "unknown", BOTH, ConfigError, "^datum is 'unknown', expected the vertical datum that the map"),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from terranav.core.records import Prior
     from terranav.experiment.result import Result
     from terranav.experiment.scenario import Scenario
+    from terranav.maps.geoid import Geoid
     from terranav.maps.map import Map
 
 Methods = Mapping[str, tuple[str, Mapping[str, Any]]]
@@ -66,6 +67,7 @@ def fly(
     seed: int,
     wanted: Wanted,
     prior: Prior | None = None,
+    geoid: Sequence[Geoid] = (),
 ) -> Outcome:
     """Run every method over the recording; `methods` maps a label to an estimator's name and its settings."""
     from terranav.core.checks import finite
@@ -74,9 +76,10 @@ def fly(
 
     since_s = finite("--since", wanted.since_s, minimum=0.0)
     with progress() as on_epoch:
-        results = compare(methods, rec, maps, seed=seed, ins=ins, prior=prior, on_epoch=on_epoch)
+        results = compare(methods, rec, maps, seed=seed, ins=ins, prior=prior, geoid=geoid, on_epoch=on_epoch)
         if wanted.smooth:
-            results |= _smoothed(rec, maps, ins, methods=methods, seed=seed, prior=prior, on_epoch=on_epoch)
+            same = {"seed": seed, "prior": prior, "geoid": geoid}
+            results |= _smoothed(rec, maps, ins, methods=methods, same=same, on_epoch=on_epoch)
     told = ins or rec.ins or InsGrade()
     return Outcome(rec, maps, results, told, seed, since_s, wanted.command, wanted.asked)
 
@@ -87,8 +90,7 @@ def _smoothed(
     ins: InsGrade | None,
     *,
     methods: Methods,
-    seed: int,
-    prior: Prior | None,
+    same: Mapping[str, Any],
     on_epoch: OnEpoch | None,
 ) -> dict[str, Result]:
     """The smoothed result of every method but the INS alone."""
@@ -101,8 +103,8 @@ def _smoothed(
         for label, (name, settings) in methods.items():
             if name != BASELINE:
                 title = smoothed_name(label)
-                told = None if on_epoch is None else functools.partial(on_epoch, title)
-                results[title] = smooth(name, rec, maps, seed=seed, ins=ins, prior=prior, on_epoch=told, **settings)
+                each = None if on_epoch is None else functools.partial(on_epoch, title)
+                results[title] = smooth(name, rec, maps, ins=ins, on_epoch=each, **same, **settings)
     return results
 
 

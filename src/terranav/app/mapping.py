@@ -15,7 +15,8 @@ from terranav.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from terranav.io.fetching import Fetched
-    from terranav.maps.map import Map
+    from terranav.io.thinning import Part
+    from terranav.maps.geoid import Geoid
 
 Box = tuple[float, float, float, float]
 
@@ -37,6 +38,18 @@ def required_box(text: str) -> Box:
     if west == east:
         raise ConfigError(f"--box is {text!r} and has no area, expected S,W,N,E with west and east apart")
     return south, west, north, east
+
+
+def geoids_from(texts: Sequence[str]) -> list[Geoid]:
+    """Geoid grids from what was typed: FILE, or DATUM=FILE where neither the file nor its name says what it is for."""
+    from terranav.io.geoid import open_geoid
+
+    found = []
+    for text in texts:
+        datum, equals, file = text.partition("=")
+        named = bool(equals) and not Path(text).exists()
+        found.append(open_geoid(file, datum=datum) if named else open_geoid(text))
+    return found
 
 
 def map_words(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -88,12 +101,12 @@ def checked_picture(file: Path, out: Path | None) -> Path:
     return picture
 
 
-def drawn(chart: Map, picture: Path, *, page: bool) -> tuple[list[str], str]:
+def drawn(part: Part, picture: Path, *, page: bool) -> tuple[list[str], str]:
     """Write the picture and, if wanted, the page beside it; their names, and how they differ from the map."""
     from terranav.app.mapview import map_page, map_png, view_of
     from terranav.io.files import replacing
 
-    view = view_of(chart)
+    view, chart = view_of(part), part.chart
     written = [picture]
     with replacing(picture) as aside:
         aside.write_bytes(map_png(chart, view))

@@ -22,6 +22,7 @@ from terranav.core.earth import metres_per_degree
 from terranav.core.errors import DataError
 
 if TYPE_CHECKING:
+    from terranav.io.thinning import Part
     from terranav.maps.map import Map
 
 FloatArray = NDArray[np.float64]
@@ -47,6 +48,12 @@ class View:
         Of the outer sides of the samples; low, left, high, right on the plane of `polar` where there is one.
     low, high : float
         What the ends of the colours stand for.
+    shape : (rows, cols)
+        Of the map.
+    cell_m : float
+        Of the map [m].
+    means_of : (rows, cols)
+        Cells of which means were taken first; (1, 1) where none were.
     thinned : bool
         There are fewer samples than cells.
     exact : bool
@@ -59,6 +66,9 @@ class View:
     box: tuple[float, float, float, float]
     low: float
     high: float
+    shape: tuple[int, int]
+    cell_m: float
+    means_of: tuple[int, int]
     thinned: bool
     exact: bool
     polar: Polar | None = None
@@ -76,28 +86,43 @@ class View:
     def note(self) -> str:
         """How the samples differ from the file, empty where they do not."""
         rows, cols = self.values.shape
+        if self.means_of != (1, 1):
+            down, across = self.means_of
+            return (
+                f"thinned to {rows} x {cols} samples of means of {down} x {across} cells: narrow features are flatter"
+            )
         if self.thinned:
             return f"thinned to {rows} x {cols} samples: narrow features and single voids may be missing"
         onto = "latitude and longitude" if self.polar is None else "a plane around the pole"
         return "" if self.exact else f"resampled to {onto}, {rows} x {cols} samples"
 
 
-def view_of(chart: Map, longest: int = LONGEST) -> View:
+def view_of(source: Map | Part, longest: int = LONGEST) -> View:
     """Sample a map on the hull of its cell centres, north up, at most `longest` samples along a side.
+
+    Of a map with twice as many cells along a side or more, means of cells are sampled (`terranav.io.thinning`), so that
+    light and shade are those of the land at that size and not of single cells.
 
     Raises
     ------
     DataError
-        The map reaches beyond the poles: its coordinates are not those of its CRS.
+        The map reaches beyond the poles: its coordinates are not those of its CRS. Or all of it is void.
     """
-    south, west, north, east = chart.bounds_deg
+    from terranav.io.thinning import Part, part_of, thinned
+
+    part = source if isinstance(source, Part) else part_of(source)
+    place, name = part.place, part.chart.name
+    south, _, north, _ = place.bounds_deg
     if south < -90.5 or north > 90.5:
         raise DataError(
-            f"{chart.name}: latitudes from {south:g} to {north:g} in {chart.crs}, expected -90 to 90 or another --crs"
+            f"{name}: latitudes from {south:g} to {north:g} in {place.crs}, expected -90 to 90 or another --crs"
         )
+    chart, means_of = thinned(part, longest)
+    facts: dict[str, Any] = {"shape": part.shape, "cell_m": place.cell_m, "means_of": means_of}
     polar = polar_plane(chart)
     if polar is not None:
-        return _polar_view(chart, polar, longest)
+        return _polar_view(chart, polar, longest, facts)
+    south, west, north, east = chart.bounds_deg
     rows, cols = (min(size, longest) for size in chart.shape)
     lat, lon = np.linspace(north, south, rows), np.linspace(west, east, cols)
     at_row, at_col = chart.cells(lat[:, None], lon[None, :])
@@ -107,19 +132,19 @@ def view_of(chart: Map, longest: int = LONGEST) -> View:
     low, high = _range(values, chart)
     half_lat, half_lon = 0.5 * (north - south) / (rows - 1), 0.5 * (east - west) / (cols - 1)
     box = south - half_lat, west - half_lon, north + half_lat, east + half_lon
-    return View(values, box, low, high, thinned=(rows, cols) != chart.shape, exact=exact)
+    return View(values, box, low, high, **facts, thinned=(rows, cols) != part.shape, exact=exact)
 
 
-def _polar_view(chart: Map, polar: Polar, longest: int) -> View:
+def _polar_view(chart: Map, polar: Polar, longest: int, facts: dict[str, Any]) -> View:
     """A map near a pole on the plane around it, in steps of a cell or more."""
     low, left, high, right = box = hull(chart, polar)
-    least = chart.cell_m / polar.metres_per_degree(box)
-    step = max(least, max(right - left, high - low) / longest)
+    least = facts["cell_m"] / polar.metres_per_degree(box)
+    step = max(chart.cell_m / polar.metres_per_degree(box), max(right - left, high - low) / longest)
     rows, cols = (max(round(side / step), 2) for side in (high - low, right - left))
     y = high - (np.arange(rows) + 0.5) * (high - low) / rows
     x = left + (np.arange(cols) + 0.5) * (right - left) / cols
     values = chart.sample(*polar.earth(x[None, :], y[:, None]))
-    return View(values, box, *_range(values, chart), thinned=step > 1.2 * least, exact=False, polar=polar)
+    return View(values, box, *_range(values, chart), **facts, thinned=step > 1.2 * least, exact=False, polar=polar)
 
 
 def _range(values: FloatArray, chart: Map) -> tuple[float, float]:
@@ -169,7 +194,7 @@ def map_picture(chart: Map, view: View) -> Figure:
             dress(axes, view.box)
         else:
             dress_polar(axes, view.box, view.polar)
-        axes.set_title(_title(chart).replace(": ", "\n", 1), fontsize=10)
+        axes.set_title(_title(chart, view).replace(": ", "\n", 1), fontsize=10)
         scale = ScalarMappable(Normalize(view.low, view.high), ramp(chart.kind))
         bar = figure.colorbar(scale, ax=axes, extend="both", aspect=30, pad=0.02)
         bar.set_label(f"{chart.kind} [{chart.unit}]")
@@ -208,7 +233,7 @@ def map_page(chart: Map, view: View) -> str:
     }
     return environment.from_string(template).render(
         title=chart.name,
-        facts=_title(chart),
+        facts=_title(chart, view),
         remarks=[text for text in (_voids(view), view.note) if text],
         image=base64.b64encode(image.getvalue()).decode(),
         data=data,
@@ -255,9 +280,9 @@ def _filled(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
     return filled
 
 
-def _title(chart: Map) -> str:
-    rows, cols = chart.shape
-    return f"{chart.name}: {rows} x {cols} cells of {distance(chart.cell_m)}, datum {chart.datum or 'not stated'}"
+def _title(chart: Map, view: View) -> str:
+    rows, cols = view.shape
+    return f"{chart.name}: {rows} x {cols} cells of {distance(view.cell_m)}, datum {chart.datum or 'not stated'}"
 
 
 def _short(value: float) -> str:

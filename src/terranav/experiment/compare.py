@@ -10,10 +10,12 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator, Matcher
 from terranav.core.recording import Recording
 from terranav.core.records import Prior
+from terranav.experiment.datums import DatumGuard
 from terranav.experiment.inputs import prepare
 from terranav.experiment.registry import check_name, estimator_name, make_estimator, own_maps
 from terranav.experiment.result import Result
 from terranav.experiment.run import check_length, check_seed, fly, needs_maps
+from terranav.io.geoid import Given
 from terranav.maps.map import Map
 
 Method = str | Estimator[Any] | Matcher
@@ -27,6 +29,7 @@ def compare(
     seed: int = 0,
     ins: InsGrade | None = None,
     prior: Prior | None = None,
+    geoid: Given = None,
     on_epoch: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Result]:
     """Run several estimators over the same epochs with the same maps, INS and prior.
@@ -37,7 +40,7 @@ def compare(
     ----------
     estimators : sequence or mapping
         Names and objects; or a mapping of label to a name, an object, or a pair (name, settings).
-    rec, maps, seed, ins, prior
+    rec, maps, seed, ins, prior, geoid
         As for `run`.
     on_epoch : callable, optional
         Called with (label, epochs done, epochs in all) after each epoch.
@@ -58,7 +61,7 @@ def compare(
         check_name(method)
     theirs = {id(chart): chart for method, _ in methods.values() for chart in own_maps(method)}
     needs = any(needs_maps(method) for method, _ in methods.values())
-    inputs = prepare(rec, maps or tuple(theirs.values()), ins, prior, needs_maps=needs)
+    inputs = prepare(rec, maps or tuple(theirs.values()), ins, prior, needs_maps=needs, guard=DatumGuard(geoid))
     for method, settings in methods.values():
         check_length(estimator_name(method), settings, inputs)
     built = {

@@ -15,11 +15,13 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator, Matcher, ShowsPosterior
 from terranav.core.recording import Recording
 from terranav.core.records import Prior
+from terranav.experiment.datums import DatumGuard
 from terranav.experiment.inputs import Inputs, prepare
 from terranav.experiment.provenance import provenance
 from terranav.experiment.registry import check_name, estimator_name, make_estimator, own_maps
 from terranav.experiment.result import Result
 from terranav.experiment.stream import states
+from terranav.io.geoid import Given
 from terranav.maps.map import Map
 
 #: is told how many epochs are done, and of how many
@@ -34,6 +36,7 @@ def run(
     seed: int = 0,
     ins: InsGrade | None = None,
     prior: Prior | None = None,
+    geoid: Given = None,
     on_epoch: Progress | None = None,
     **settings: Any,
 ) -> Result:
@@ -53,6 +56,8 @@ def run(
         What the estimator is told of the INS; else the recording's own, else the default grade with a warning.
     prior : Prior, optional
         Of the INS error at the first epoch; else zero mean and the initial position sigma of the INS.
+    geoid : path, Geoid, or several of them, optional
+        Geoid grids beside those that are installed, for heights that count from other datums than the maps do.
     on_epoch : callable, optional
         Called with (epochs done, epochs in all) after each epoch.
     **settings
@@ -76,7 +81,8 @@ def run(
     """
     check_seed(seed)
     check_name(estimator)
-    inputs = prepare(rec, own_maps(estimator) or maps, ins, prior, needs_maps=needs_maps(estimator))
+    charts, guard = own_maps(estimator) or maps, DatumGuard(geoid)
+    inputs = prepare(rec, charts, ins, prior, needs_maps=needs_maps(estimator), guard=guard)
     check_length(estimator_name(estimator), settings, inputs)
     built = make_estimator(estimator, inputs.maps, inputs.ins, **settings)
     return fly(built, inputs, seed, on_epoch)

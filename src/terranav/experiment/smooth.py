@@ -11,12 +11,14 @@ from terranav.core.ins_grade import InsGrade
 from terranav.core.protocols import Estimator, Matcher
 from terranav.core.recording import Recording
 from terranav.core.records import Prior
+from terranav.experiment.datums import DatumGuard
 from terranav.experiment.inputs import prepare
 from terranav.experiment.provenance import provenance
 from terranav.experiment.registry import check_name, estimator_name, make_estimator, own_maps
 from terranav.experiment.result import Result
 from terranav.experiment.run import Progress, check_length, check_seed, rng_of
 from terranav.filters._smoothing import SMOOTHED, can_be_smoothed, smooth_epochs
+from terranav.io.geoid import Given
 from terranav.maps.map import Map
 
 
@@ -28,6 +30,7 @@ def smooth(
     seed: int = 0,
     ins: InsGrade | None = None,
     prior: Prior | None = None,
+    geoid: Given = None,
     on_epoch: Progress | None = None,
     **settings: Any,
 ) -> Result:
@@ -39,7 +42,7 @@ def smooth(
     ----------
     estimator : str, Estimator or Matcher
         'marginalized' or 'pointmass', or an object of one of them.
-    rec, maps, seed, ins, prior
+    rec, maps, seed, ins, prior, geoid
         As for `terranav.run`.
     on_epoch : callable, optional
         Called with (epochs done, twice the number of epochs) after each epoch of either pass.
@@ -65,7 +68,7 @@ def smooth(
     """
     check_seed(seed)
     check_smoothed(estimator)
-    inputs = prepare(rec, own_maps(estimator) or maps, ins, prior, needs_maps=True)
+    inputs = prepare(rec, own_maps(estimator) or maps, ins, prior, needs_maps=True, guard=DatumGuard(geoid))
     check_length(estimator_name(estimator), settings, inputs)
     built: Any = make_estimator(estimator, inputs.maps, inputs.ins, **settings)
     name, charts, of = estimator_name(built), own_maps(built) or inputs.maps, 2 * len(inputs.epochs)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from terranav.core.errors import ConfigError, DataError
 from terranav.io.files import replacing
+from terranav.io.thinning import Part, part_of
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetWriter
@@ -33,17 +34,18 @@ _VERTICAL = {
 _STANDARD_NAMES = {"terrain": "surface_altitude", "bathymetry": "height_above_mean_sea_level"}
 
 
-def write_map(chart: Map, path: str | Path, *, force: bool = False) -> None:
+def write_map(source: Map | Part, path: str | Path, *, force: bool = False) -> None:
     """Write a map to a file that `open_map` reads back with the same values at the same places.
 
-    The unit is the kind's own and stands in the file. What a file cannot say is left to who opens it: the kind, sigma
-    and the correlation length; in NetCDF the vertical datum is a remark only.
+    The unit is the kind's own and stands in the file, as does the vertical datum. What a file cannot say is left to who
+    opens it: the kind, sigma and the correlation length.
 
     Parameters
     ----------
-    chart : Map
+    source : Map or Part
     path : str or Path
-        .tif (deflate, tiled, voids NaN), .nc (CF axes, HDF5), or .hgt (whole metres on SRTM's own grid only).
+        .tif (deflate, tiled, voids NaN), .nc (CF axes, HDF5), or .hgt (whole metres on SRTM's own grid only). What is
+        large is written to .tif piece by piece; for the others it must fit into the memory.
     force : bool
         Replace a file that is there.
 
@@ -52,21 +54,22 @@ def write_map(chart: Map, path: str | Path, *, force: bool = False) -> None:
     ConfigError
         Another suffix, or a file that is there without force.
     DataError
-        The folder cannot be written, or the format cannot hold this map exactly.
+        The folder cannot be written, or the format cannot hold this map exactly; or the map is void throughout.
     """
     file = Path(path)
+    part = source if isinstance(source, Part) else part_of(source)
     write = check_target(file, force=force)
     with replacing(file) as aside:
         try:
-            write(chart, aside, file)
+            write(part, aside, file)
         except DataError:
             raise
         except (RuntimeError, ValueError, TypeError) as problem:
             raise DataError(f"{file}: cannot be written ({' '.join(str(problem).split())[:200]})") from None
 
 
-def check_target(path: str | Path, *, force: bool = False) -> Callable[[Map, Path, Path], None]:
-    """What will write (map, where to, name it will have); ConfigError as of `write_map`, before any work is done."""
+def check_target(path: str | Path, *, force: bool = False) -> Callable[[Part, Path, Path], None]:
+    """What will write (part, where to, name it will have); ConfigError as of `write_map`, before any work is done."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in _WRITERS:
@@ -134,12 +137,18 @@ def write_layers(
         raster.units = tuple(layer.unit for layer in layers)
 
 
-def _tif(chart: Map, aside: Path, file: Path) -> None:
-    """A GeoTIFF."""
-    with _raster(aside, file, (1, *chart.shape), (chart.transform, _with_vertical(chart))) as raster:
-        raster.write(chart.values, 1)
+def _tif(part: Part, aside: Path, file: Path) -> None:
+    """A GeoTIFF, piece by piece: whole blocks of it, so that none is written twice."""
+    chart, known = part.chart, False
+    place = part.place.transform, _with_vertical(part.place.crs, part.datum)
+    with _raster(aside, file, (1, *part.shape), place) as raster:
+        for (rows, cols), values in part.pieces():
+            known = known or not bool(np.isnan(values).all())
+            raster.write(values, 1, window=(rows, cols))
         raster.units = (chart.unit,)
-        raster.update_tags(KIND=chart.kind, SOURCE=chart.source, VERTICAL_DATUM=chart.datum or "not stated")
+        raster.update_tags(KIND=chart.kind, SOURCE=chart.source, VERTICAL_DATUM=part.datum or "not stated")
+    if not known:
+        raise DataError(f"{chart.name}: every cell of it is void, expected values")
 
 
 @contextmanager
@@ -166,6 +175,7 @@ def _raster(
         "blockxsize": TILE,
         "blockysize": TILE,
         "bigtiff": "if_safer",
+        "num_threads": "all_cpus",
     }
     try:
         with rasterio.open(aside, "w", **profile) as raster:
@@ -174,24 +184,25 @@ def _raster(
         raise DataError(f"{file}: cannot be written ({' '.join(str(problem).split())[:200]})") from None
 
 
-def _with_vertical(chart: Map) -> str:
+def _with_vertical(crs: str, datum: str | None) -> str:
     """The CRS with the vertical one that the datum names, where it is a known one."""
-    code = _VERTICAL.get(chart.datum or "")
+    code = _VERTICAL.get(datum or "")
     if code is None:
-        return chart.crs
+        return crs
     from pyproj import CRS
     from pyproj.crs import CompoundCRS
 
-    flat, up = CRS.from_user_input(chart.crs), CRS.from_epsg(code)
+    flat, up = CRS.from_user_input(crs), CRS.from_epsg(code)
     if flat.is_compound or len(flat.axis_info) != 2:
-        return chart.crs
+        return crs
     return str(CompoundCRS(f"{flat.name} + {up.name}", [flat, up]).to_wkt())
 
 
-def _netcdf(chart: Map, aside: Path, file: Path) -> None:
+def _netcdf(part: Part, aside: Path, file: Path) -> None:
     """A NetCDF file with one variable and its two axes."""
     import xarray as xr
 
+    chart = part.whole()
     a, b, c, d, e, f = chart.transform
     if b or d:
         raise DataError(f"{file}: the rows of the map run aslant to its axes, which NetCDF cannot say; expected .tif")
@@ -228,11 +239,12 @@ def _axes(crs: str) -> tuple[tuple[str, dict[str, str]], tuple[str, dict[str, st
     return ("y", down), ("x", across), mapping
 
 
-def _hgt(chart: Map, aside: Path, file: Path) -> None:
+def _hgt(part: Part, aside: Path, file: Path) -> None:
     """An SRTM tile: refused where a value, a place or the name would not be exact."""
-    rows, cols = chart.shape
+    rows, cols = part.shape
     if rows != cols or rows not in (1201, 3601):
         raise DataError(f"{file}: map of {rows} x {cols} cells, expected 1201 x 1201 or 3601 x 3601 for .hgt")
+    chart = part.whole()
     known = ~np.isnan(chart.values)
     values = chart.values[known]
     if (
@@ -253,7 +265,7 @@ def _hgt(chart: Map, aside: Path, file: Path) -> None:
     aside.write_bytes(np.where(known, chart.values, _HGT_VOID).astype(">i2").tobytes())
 
 
-_WRITERS: dict[str, Callable[[Map, Path, Path], None]] = {
+_WRITERS: dict[str, Callable[[Part, Path, Path], None]] = {
     ".tif": _tif,
     ".tiff": _tif,
     ".nc": _netcdf,

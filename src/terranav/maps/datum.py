@@ -42,6 +42,7 @@ __all__ = [
     "agreed_datum",
     "between",
     "convert",
+    "shift_of",
     "split_crs",
     "stated_datum",
     "vertical_datum",
@@ -322,6 +323,23 @@ def _difference(one: str, other: str) -> str:
 def convert(chart: Map, to: str, find: Find | Geoid) -> Map:
     """A map of heights that counts from another datum: the same cells, each value shifted by geoid heights.
 
+    Parameters, errors and warnings as of `shift_of`; DataError, too, where a geoid does not cover the map.
+
+    Returns
+    -------
+    Map
+        `datum` is the new one; sigma stays.
+    """
+    shift = shift_of(chart, to, find)
+    from terranav.maps.map import Map  # a plain one, whatever the map is: its values are in memory now
+
+    facts = {entry.name: getattr(chart, entry.name) for entry in fields(Map)}
+    return Map(**{**facts, "values": _shifted(chart, shift), "datum": shift.target})
+
+
+def shift_of(chart: Map, to: str, find: Find | Geoid) -> Shift:
+    """What brings the heights of a map to another datum.
+
     Parameters
     ----------
     chart : Map
@@ -331,17 +349,12 @@ def convert(chart: Map, to: str, find: Find | Geoid) -> Map:
     find : function of a datum, or one Geoid
         What gives the geoids (`terranav.io.geoid.finder`).
 
-    Returns
-    -------
-    Map
-        `datum` is the new one; sigma stays.
-
     Raises
     ------
     ConfigError
         Unknown datum, or a map that has no heights.
     DataError
-        The map's datum is unknown, no geoid is at hand or it does not cover the map, or nothing knows the difference.
+        The map's datum is unknown, no geoid is at hand, or nothing knows the difference.
 
     Warns
     -----
@@ -354,7 +367,7 @@ def convert(chart: Map, to: str, find: Find | Geoid) -> Map:
     if target is None:
         raise ConfigError(f"datum is {to!r}, expected the vertical datum that the map shall have")
     if source is None:
-        raise DataError(f"{chart.name}: the map's vertical datum is unknown, expected one (open_map(..., datum=))")
+        raise DataError(f"{chart.name}: the map's vertical datum is unknown, expected one (datum=, --map-datum)")
     try:
         shift = between(source, target, find if not isinstance(find, Geoid) else _only(find))
     except DataError as problem:
@@ -362,11 +375,8 @@ def convert(chart: Map, to: str, find: Find | Geoid) -> Map:
     if not shift.bounded or (shift.doubt and not shift.geoids):
         raise DataError(f"{chart.name}: cannot go from {source} to {target}: {shift.doubt}; expected a grid for each")
     if shift.doubt:
-        warnings.warn(f"{chart.name}: {shift.doubt}", DataWarning, stacklevel=2)
-    from terranav.maps.map import Map  # a plain one, whatever the map is: its values are in memory now
-
-    facts = {entry.name: getattr(chart, entry.name) for entry in fields(Map)}
-    return Map(**{**facts, "values": _shifted(chart, shift), "datum": target})
+        warnings.warn(f"{chart.name}: {shift.doubt}", DataWarning, stacklevel=3)
+    return shift
 
 
 def _only(geoid: Geoid) -> Find:

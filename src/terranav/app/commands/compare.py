@@ -10,6 +10,7 @@ import typer
 from terranav.app.commands import options
 
 
+@options.reads_maps
 def compare(
     context: typer.Context,
     *,
@@ -30,19 +31,17 @@ def compare(
     ins: options.Ins = "",
     drift: options.Drift = "",
     drift_seed: options.DriftSeed = 0,
-    map_kind: options.MapKinds = None,
-    map_sigma: options.MapSigmas = None,
-    map_correlation: options.MapCorrelations = None,
-    map_crs: options.MapCrs = None,
-    map_variable: options.MapVariables = None,
-    map_unit: options.MapUnits = None,
+    geoid: options.Geoids = None,
+    map_options: options.MapOptions,
 ) -> int:
     """Run several estimators over the same epochs and show them side by side."""
     from terranav.app.flying import Wanted, conclude, fly, fly_scenario, with_baseline
     from terranav.app.given import Given, folder_for
+    from terranav.app.mapping import geoids_from
     from terranav.core.errors import ConfigError
     from terranav.experiment.registry import estimators
 
+    grids = geoids_from(geoid or ())
     if scenario is not None and recording is None:
         from terranav.experiment.scenario import Scenario
 
@@ -52,10 +51,6 @@ def compare(
     if recording is None or scenario is not None:
         raise ConfigError("compare needs a scenario file or --recording FILE, and not both")
     wanted = Wanted(folder_for(out), as_json, since, context.obj)
-    map_options = {
-        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
-        "variable": map_variable, "unit": map_unit,
-    }  # fmt: skip
     given = Given(recording, maps or (), map_options, ins, drift, drift_seed, first)
     methods = with_baseline(estimator or estimators())
-    return conclude(fly(*given.read(), methods=methods, seed=seed or 0, wanted=wanted), wanted)
+    return conclude(fly(*given.read(), methods=methods, seed=seed or 0, wanted=wanted, geoid=grids), wanted)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from terranav.planning.cue import Cue, CueSettings
 
 
+@options.reads_maps
 def cue(
     *,
     recording: options.Recording,
@@ -35,29 +36,23 @@ def cue(
     drift: options.Drift = "",
     drift_seed: options.DriftSeed = 0,
     first: options.First = None,
-    map_kind: options.MapKinds = None,
-    map_sigma: options.MapSigmas = None,
-    map_correlation: options.MapCorrelations = None,
-    map_crs: options.MapCrs = None,
-    map_variable: options.MapVariables = None,
-    map_unit: options.MapUnits = None,
+    geoid: options.Geoids = None,
+    map_options: options.MapOptions,
 ) -> int:
     """Terrain avoidance cueing: run an estimator, look ahead from where it is, and list the warnings of the flight."""
     from terranav.app.ahead import Flight
     from terranav.app.console import OK, show_json, working
     from terranav.app.given import Given
+    from terranav.app.mapping import geoids_from
     from terranav.experiment.run import run
     from terranav.planning.cue import CueSettings
 
+    grids = geoids_from(geoid or ())
     settings = CueSettings(margin, lookahead, threshold, altitude_sigma, bank_deg=bank)
-    map_options = {
-        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
-        "variable": map_variable, "unit": map_unit,
-    }  # fmt: skip
     rec, charts, told = Given(recording, maps or (), map_options, ins, drift, drift_seed, first).read()
     ground, row = _ground(charts), _row_at(rec, at)
     with working("flying"):
-        result = run(estimator, rec, charts, seed=seed, ins=told)
+        result = run(estimator, rec, charts, seed=seed, ins=told, geoid=grids)
         flight = Flight(rec, result, ground, settings)
         now, spans = flight.cue(row), flight.timeline()
     time_s = float(rec.time_s[row])

@@ -11,13 +11,19 @@ from terranav.app.commands import options
 
 app = typer.Typer(help="Look at maps, convert them, fetch their tiles.", no_args_is_help=False)
 
-File = Annotated[Path, typer.Argument(metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid.")]
+File = Annotated[
+    Path, typer.Argument(metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid; a folder or 'pattern*' of tiles.")
+]
 Kind = Annotated[str, typer.Option(metavar="KIND", help="terrain, bathymetry, gravity or magnetic.")]
 Sigma = Annotated[float | None, typer.Option(metavar="S", help="1-sigma error, in the kind's unit.")]
 Crs = Annotated[str | None, typer.Option(metavar="CRS", help="For a file that states none.")]
 Variable = Annotated[str | None, typer.Option(metavar="NAME", help="NetCDF variable or raster band.")]
 Unit = Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of the values, such as ft.")]
 PositiveDown = Annotated[bool, typer.Option("--positive-down", help="The file holds depths: negate them.")]
+Datum = Annotated[
+    str | None,
+    typer.Option("--map-datum", metavar="DATUM", help="What its heights count from; wins over what the file says."),
+]
 Box = Annotated[
     str | None,
     typer.Option("--box", metavar="S,W,N,E", help="Only this part, in degrees; east below west crosses 180."),
@@ -39,6 +45,7 @@ def info(
     variable: Variable = None,
     unit: Unit = None,
     positive_down: PositiveDown = False,
+    map_datum: Datum = None,
     as_json: options.Json = False,
 ) -> int:
     """Say what a map covers, how fine and how rough it is, and what looks suspicious."""
@@ -47,8 +54,9 @@ def info(
     from terranav.io.rasters import open_map
 
     facts = open_map(
-        file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit, positive_down=positive_down
-    ).info()
+        file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit, positive_down=positive_down,
+        datum=map_datum,
+    ).info()  # fmt: skip
     if as_json:
         show_json(facts)
     else:
@@ -70,29 +78,34 @@ def view(
     variable: Variable = None,
     unit: Unit = None,
     positive_down: PositiveDown = False,
+    map_datum: Datum = None,
     as_json: options.Json = False,
 ) -> int:
     """Draw a map: heights in colour, lit from the north-west."""
     from terranav.app.console import OK, show_json, show_pairs, working
     from terranav.app.mapping import checked_picture, drawn, map_words, parsed_box
-    from terranav.io.rasters import open_map
+    from terranav.io.thinning import open_part
 
     picture = checked_picture(file, out)
     with working(f"drawing {file.name}"):
-        part = parsed_box(box)
-        chart = open_map(file, kind=kind, crs=crs, variable=variable, unit=unit, positive_down=positive_down, box=part)
-        written, note = drawn(chart, picture, page=page)
+        part = open_part(
+            file, parsed_box(box), kind=kind, crs=crs, variable=variable, unit=unit, positive_down=positive_down,
+            datum=map_datum,
+        )  # fmt: skip
+        written, note = drawn(part, picture, page=page)
+        facts = part.info()
     if as_json:
-        show_json({**chart.info(), "files": written, "note": note or None})
+        show_json({**facts, "files": written, "note": note or None})
     else:
-        pairs = [pair for pair in map_words(chart.info()) if pair[0] in ("map", "grid", "extent", "values", "voids")]
+        shown = ("map", "grid", "extent", "values", "voids", "looked at", "datum")
+        pairs = [pair for pair in map_words(facts) if pair[0] in shown]
         show_pairs([*pairs, *([("note", note)] if note else []), ("written to", ", ".join(written))])
     return OK
 
 
 @app.command()
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Any GDAL raster or NetCDF/GMT grid.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help="As for info.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="What to write: .tif, .nc, or .hgt where that is exact.")],
     *,
     box: Box = None,
@@ -103,32 +116,37 @@ def convert(
     variable: Variable = None,
     unit: Unit = None,
     positive_down: PositiveDown = False,
+    map_datum: Datum = None,
+    datum: Annotated[
+        str | None, typer.Option(metavar="TO", help="Bring its heights to this vertical datum, by geoid heights.")
+    ] = None,
+    geoid: options.Geoids = None,
     as_json: options.Json = False,
 ) -> int:
-    """Write a map, or a part of it, as GeoTIFF or NetCDF: the same values at the same places, in the kind's unit."""
+    """Write a map, or a part of it, as GeoTIFF or NetCDF: the same values at the same places, in the kind's unit.
+
+    Only --datum makes other values of them. A large map goes to GeoTIFF piece by piece.
+    """
     from terranav.app.console import OK, show_json, show_pairs, working
-    from terranav.app.mapping import map_words, parsed_box
+    from terranav.app.mapping import geoids_from, map_words, parsed_box
     from terranav.io.raster_out import check_target, write_map
-    from terranav.io.rasters import open_map
+    from terranav.io.thinning import converted, open_part
 
     check_target(out, force=force)
+    grids = geoids_from(geoid or ())
     with working(f"converting {source.name}"):
-        part = parsed_box(box)
-        chart = open_map(
-            source,
-            kind=kind,
-            sigma=sigma,
-            crs=crs,
-            variable=variable,
-            unit=unit,
-            positive_down=positive_down,
-            box=part,
-        )
-        write_map(chart, out, force=force)
+        part = open_part(
+            source, parsed_box(box), kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit,
+            positive_down=positive_down, datum=map_datum,
+        )  # fmt: skip
+        if datum is not None:
+            part = converted(part, datum, grids)
+        write_map(part, out, force=force)
+        facts = part.info()
     if as_json:
-        show_json({**chart.info(), "file": str(out)})
+        show_json({**facts, "file": str(out)})
     else:
-        show_pairs([*map_words(chart.info()), ("written to", str(out))])
+        show_pairs([*map_words(facts), ("written to", str(out))])
     return OK
 
 

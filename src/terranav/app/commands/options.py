@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+MapOptions = Mapping[str, Sequence[Any] | None]  #: as of `terranav.app.given.open_maps`
 MAP_PANEL, INS_PANEL = "How the maps are read", "The INS"
 
 Recording = Annotated[Path, typer.Option("--recording", metavar="FILE", help="Recording: .csv or .parquet.")]
@@ -52,6 +56,24 @@ MapUnits = Annotated[
     list[str] | None,
     typer.Option("--map-unit", metavar="UNIT", rich_help_panel=MAP_PANEL, help="Unit of the values, such as ft."),
 ]
+MapDatums = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map-datum",
+        metavar="DATUM",
+        rich_help_panel=MAP_PANEL,
+        help="What the map's heights count from: EGM96, EGM2008, ellipsoid, MLLW...; wins over what the file says.",
+    ),
+]
+Geoids = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--geoid",
+        metavar="FILE",
+        help="Geoid grid to bring heights from one datum to another; DATUM=FILE where it does not say which it is. "
+        "Repeatable.",
+    ),
+]
 Ins = Annotated[
     str,
     typer.Option(
@@ -91,3 +113,33 @@ OptionalRecording = Annotated[
 OptionalSeed = Annotated[
     int | None, typer.Option("--seed", metavar="N", help="Same seed, same bits; the scenario's own unless given.")
 ]
+
+#: how maps are read, by the keys of MapOptions
+_READ: dict[str, Any] = {
+    "kind": MapKinds,
+    "sigma": MapSigmas,
+    "correlation": MapCorrelations,
+    "crs": MapCrs,
+    "variable": MapVariables,
+    "unit": MapUnits,
+    "datum": MapDatums,
+}
+
+
+def reads_maps(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command `--map-kind`, `--map-sigma` and so on, which reach it as its keyword `map_options`: MapOptions."""
+    own = inspect.signature(command, eval_str=True)
+
+    @functools.wraps(command)
+    def with_options(*given: Any, **others: Any) -> int:
+        told = {key: others.pop(f"map_{key}", None) for key in _READ}
+        return command(*given, **others, map_options=told)
+
+    kept = [each for name, each in own.parameters.items() if name != "map_options"]
+    new = [
+        inspect.Parameter(f"map_{key}", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=option)
+        for key, option in _READ.items()
+    ]
+    with_options.__signature__ = own.replace(parameters=[*kept, *new])  # type: ignore[attr-defined]
+    with_options.__annotations__ = {each.name: each.annotation for each in (*kept, *new)}
+    return with_options

@@ -9,6 +9,7 @@ import typer
 from terranav.app.commands import options
 
 
+@options.reads_maps
 def run(
     context: typer.Context,
     *,
@@ -33,26 +34,20 @@ def run(
     ins: options.Ins = "",
     drift: options.Drift = "",
     drift_seed: options.DriftSeed = 0,
-    map_kind: options.MapKinds = None,
-    map_sigma: options.MapSigmas = None,
-    map_correlation: options.MapCorrelations = None,
-    map_crs: options.MapCrs = None,
-    map_variable: options.MapVariables = None,
-    map_unit: options.MapUnits = None,
+    geoid: options.Geoids = None,
+    map_options: options.MapOptions,
 ) -> int:
     """Run one estimator over a recording, beside the INS alone, and say how well it did."""
     from terranav.app.flying import Wanted, conclude, fly, with_baseline
     from terranav.app.given import Given, folder_for, settings_from
+    from terranav.app.mapping import geoids_from
 
-    map_options = {
-        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
-        "variable": map_variable, "unit": map_unit,
-    }  # fmt: skip
+    grids = geoids_from(geoid or ())
     given = Given(recording, maps or (), map_options, ins, drift, drift_seed, first)
     asked = _smoothed(estimator) if smooth else estimator
     wanted = Wanted(folder_for(out), as_json, since, context.obj, asked, smooth)
     methods = with_baseline([estimator], settings_from(settings or ()))
-    return conclude(fly(*given.read(), methods=methods, seed=seed, wanted=wanted), wanted)
+    return conclude(fly(*given.read(), methods=methods, seed=seed, wanted=wanted, geoid=grids), wanted)
 
 
 def _smoothed(estimator: str) -> str:
