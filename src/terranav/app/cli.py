@@ -19,6 +19,7 @@ from terranav.app.commands.cue import cue
 from terranav.app.commands.demo import demo
 from terranav.app.commands.doctor import doctor
 from terranav.app.commands.estimators import estimators
+from terranav.app.commands.fly import fly
 from terranav.app.commands.live import live
 from terranav.app.commands.locate import locate
 from terranav.app.commands.replay import replay
@@ -49,6 +50,7 @@ app.command()(reproduce)
 app.command()(estimators)
 app.command()(live)
 app.command()(doctor)
+app.command()(fly)
 
 
 def _version(wanted: bool) -> None:

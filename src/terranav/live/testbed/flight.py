@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Hashable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -115,9 +115,9 @@ class Flight:
         """What the vehicle answers to what it took since the last tick; `tick` gives that too."""
         return [Sent(self.settings.start_us + self.time_us, frame) for frame in self.inbox.answers()]
 
-    def take(self, data: bytes) -> None:
-        """Bytes for the vehicle, whole frames or parts of them."""
-        self.inbox.take(data)
+    def take(self, data: bytes, peer: Hashable = 0) -> None:
+        """Bytes for the vehicle, whole frames or parts of them; those of different peers are not joined."""
+        self.inbox.take(data, peer)
 
     @property
     def reckons_dead(self) -> bool:
@@ -131,6 +131,31 @@ class Flight:
     def message(self, name: str) -> bytes | None:
         """A message of telemetry as of the last tick; None for one that the vehicle does not have."""
         return self.telemetry.one(name, self._told) if self._told is not None else None
+
+    def facts(self) -> dict[str, Any]:
+        """How it goes, or went: numbers and counts for a summary; errors since GNSS was lost or went wrong [m]."""
+        told, navigation = self.settings, self.navigation
+        since = min(told.gnss_off_s, told.jam_at_s, told.spoof_at_s)
+        since = since if since < self.time_us * 1e-6 else 0.0
+        own, without, across = (self.score.of(name, since) for name in ("own", "without", "across"))
+        return {
+            "flown_s": self.time_us * 1e-6,
+            "since_s": since,
+            "own_p95_m": own.p95_m,
+            "own_max_m": own.max_m,
+            "own_last_m": own.last_m,
+            "without_fixes_p95_m": without.p95_m,
+            "without_fixes_last_m": without.last_m,
+            "off_track_p95_m": across.p95_m,
+            "off_track_last_m": across.last_m,
+            "lowest_m": self.score.lowest_m,
+            "gnss": self._told is not None and self._told.gnss is not None,
+            "fixes_used": navigation.used,
+            "fixes_rejected": navigation.rejected,
+            "fix_resets": navigation.resets,
+            "heard": dict(self.inbox.heard),
+            "ignored": dict(self.inbox.ignored),
+        }
 
     def recording(self) -> Recording:
         """Truth, free INS and readings so far; StateError for a flight that was not recorded."""

@@ -15,14 +15,16 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from terranav.core.earth import shifted
+from terranav.live.deframing import Deframer
+from terranav.live.mavlink_in import dialect
 from terranav.live.testbed.course import Course
 from terranav.live.testbed.fusion import OLDEST_S, Fix
-from terranav.live.testbed.telemetry import AUTOPILOT_COMPONENT, BOOT_US, RATES_HZ, Telemetry, dialect
+from terranav.live.testbed.telemetry import AUTOPILOT_COMPONENT, BOOT_US, RATES_HZ, Telemetry
 
 #: of a message without covariance [m]
 _UNKNOWN_M = 10.0
@@ -31,7 +33,7 @@ _DATES_US = 10**14
 _PX4, _ARDUPILOT = ("px4",), ("ardupilot",)
 _TAKEN_BY = {"GLOBAL_POSITION_SENSOR": _PX4, "ODOMETRY": (*_PX4, *_ARDUPILOT), "GPS_INPUT": _ARDUPILOT}
 _EXTERNAL_POSITION = 43003
-_MOST_PENDING = 4096
+_MOST_PENDING, _MOST_PEERS = 4096, 16
 
 
 class Vehicle(Protocol):
@@ -85,7 +87,8 @@ class Inbox:
     def __post_init__(self) -> None:
         self._d = dialect()
         self._system = self.telemetry.system_id
-        self._parser = self._new_parser()
+        self._decoder = self._d.MAVLink(None)
+        self._deframers: dict[Hashable, Deframer] = {}
         self._resets: dict[tuple[int, int], int] = {}
         self.parameters: dict[str, float] = {"SYSID_THISMAV": float(self._system), "SYS_AUTOSTART": 2106.0}
         if self.autopilot == "px4":
@@ -105,33 +108,30 @@ class Inbox:
             "PING": self._ping,
         }
 
-    def take(self, data: bytes) -> None:
-        """Bytes of a link, in pieces as they come; garbage, and messages for another vehicle, are left."""
-        try:
-            messages = self._parser.parse_buffer(data) or []
-        except (self._d.MAVError, TypeError, ValueError, LookupError, struct.error):
-            self._count(self.ignored, "undecoded")
-            self._parser = self._new_parser()  # whatever it held
-            return
-        for message in messages:
-            name = message.get_type()
-            if name == "BAD_DATA" or not self._for_us(message):
-                self._count(self.ignored, name)
-            elif self.checker is not None and not self.checker(bytes(message.get_msgbuf())):
+    def take(self, data: bytes, peer: Hashable = 0) -> None:
+        """Bytes of a peer, in pieces as they come; garbage, and messages for another vehicle, are left."""
+        if peer not in self._deframers and len(self._deframers) >= _MOST_PEERS:
+            self._deframers.pop(next(iter(self._deframers)))
+        for frame in self._deframers.setdefault(peer, Deframer()).feed(data):
+            if self.checker is not None and not self.checker(frame):
                 self._count(self.ignored, "unsigned")
-            else:
+                continue
+            try:
+                message = self._decoder.decode(bytearray(frame))
+            except (self._d.MAVError, TypeError, ValueError, LookupError, struct.error):
+                self._count(self.ignored, "undecoded")
+                continue
+            name = message.get_type()
+            if self._for_us(message):
                 self._heard(name, message)
+            else:
+                self._count(self.ignored, name)
 
     def answers(self) -> list[bytes]:
         """What there is to say since the last time."""
         frames = list(self.out)
         self.out.clear()
         return frames
-
-    def _new_parser(self) -> Any:
-        parser = self._d.MAVLink(None)
-        parser.robust_parsing = True
-        return parser
 
     def _for_us(self, message: Any) -> bool:
         """Whether it is meant for this vehicle, and no echo of its own."""
@@ -163,7 +163,9 @@ class Inbox:
         """A fix from one of the messages that carry one; None where it says that it is none."""
         if name == "GLOBAL_POSITION_SENSOR":
             eph = m.eph if math.isfinite(m.eph) else _UNKNOWN_M
-            return Fix(self._age_s(m.time_usec), m.lat / 1e7, m.lon / 1e7, (eph, eph))
+            # its stamp is that of sending, and the measurement older by the time of processing
+            age = self._age_s(m.time_usec) + m.processing_time * 1e-6
+            return Fix(age, m.lat / 1e7, m.lon / 1e7, (eph, eph))
         if name == "GPS_INPUT":
             if m.fix_type < 3:
                 return None
@@ -172,7 +174,9 @@ class Inbox:
             )
             unknown = self._d.GPS_INPUT_IGNORE_FLAG_VEL_HORIZ | self._d.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
             speed = None if m.ignore_flags & unknown else (m.vn, m.ve)
-            return Fix(self._age_s(m.time_usec), m.lat / 1e7, m.lon / 1e7, (sigma, sigma), speed, m.speed_accuracy)
+            # its stamp is that of sending, and the measurement older by the time of processing
+            age = self._age_s(m.time_usec) + m.processing_time * 1e-6
+            return Fix(age, m.lat / 1e7, m.lon / 1e7, (sigma, sigma), speed, m.speed_accuracy)
         frames = [self._d.MAV_FRAME_LOCAL_FRD]
         if self.autopilot == "px4":
             frames.append(self._d.MAV_FRAME_LOCAL_NED)

@@ -42,7 +42,7 @@ class Rows:
         if seen.size:
             sigma["radar_altitude_m"] = max(float(np.sqrt(np.mean(settings.altimeter.sigma(seen) ** 2))), 0.1)
         made = f"terranav fly, seed {settings.seed}, over {chart.name}; jsbsim's Cessna 172"
-        datum = {} if chart.datum is None else {"all": chart.datum, "baro_altitude_m": "standard atmosphere"}
+        datum = {} if chart.datum is None else {"all": chart.datum, "baro_altitude_m": "unknown"}
         return Recording(columns, settings.grade, sigma, {"made_by": made}, "fly", datum)
 
 

@@ -8,7 +8,6 @@ minute before the flight begins; messages carry what was so at that time.
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terranav.core.earth import offset_of
-from terranav.core.errors import ConfigError
+from terranav.live.mavlink_in import dialect
 from terranav.live.testbed.aircraft import AircraftState, Triple
 from terranav.live.testbed.inertial import Indicated
 from terranav.live.testbed.senses import GnssReading
@@ -79,16 +78,6 @@ class Told:
     gnss: GnssReading | None
     gnss_fresh: bool
     truth: AircraftState
-
-
-def dialect() -> Any:
-    """pymavlink's ardupilotmega dialect, which holds all of common; ConfigError where it is not installed."""
-    try:
-        return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
-    except ImportError:
-        raise ConfigError(
-            "the flying test bed needs pymavlink, which is not installed: pip install terranav[fly]"
-        ) from None
 
 
 class Telemetry:
