@@ -6,6 +6,7 @@ span ends, and is scored against it. Several spans are several flights, each fro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -24,6 +25,8 @@ TAKE_OFF_M, TAKE_OFF_MPS, TAKE_OFF_S = 10.0, 8.0, 10.0
 DRIVE_MPS = 3.0
 #: a span must be at least so long to say anything [s]
 SHORTEST_S = 10.0
+#: a vehicle that stands still is not thought to hear nothing [s]
+LONGEST_S = 30.0
 _CLEARANCE = ("laser_altitude_m", "radar_altitude_m")
 _GROUND = ("terrain_m", "depth_m", "gravity_mgal", "magnetic_nt", *_CLEARANCE)
 #: 1-sigma of the ground height that a barometer on wheels gives: noise, airflow and the car's own pressure [m]
@@ -136,6 +139,36 @@ def as_log(rec: Recording) -> Log:
     }
     remarks = [] if rec.has_truth else ["no true position is given: the indicated one is an INS's, or true (--drift)"]
     return Log(rec, facts, tuple(remarks))
+
+
+def spaced(denied: Denied, spacing_m: float) -> Denied:
+    """Leave out readings that lie closer together than the map tells apart.
+
+    They see the same ground through the same map error, while estimators and their monitor take them for independent.
+    The rule of the live engine: a reading counts once the indicated position has moved by `spacing_m` [m] since the
+    last that did, or after 30 s. The barometer is not thinned: it is no reading of the ground.
+    """
+    rec = denied.recording
+    keys = [key for key in _GROUND if key in rec.columns]
+    any_there = np.isfinite(np.stack([rec.columns[key] for key in keys])).any(axis=0)
+    rows = np.flatnonzero(any_there)
+    north, east = offset_m(rec.lat_deg[0], rec.lon_deg[0], rec.lat_deg, rec.lon_deg)
+    places = list(zip(rows.tolist(), north[rows].tolist(), east[rows].tolist(), rec.time_s[rows].tolist(), strict=True))
+    spared, used = [], places[:1]
+    for place in places[1:]:
+        _, last_north, last_east, last_s = used[-1]
+        if math.hypot(place[1] - last_north, place[2] - last_east) < spacing_m and place[3] - last_s < LONGEST_S:
+            spared.append(place[0])
+        else:
+            used.append(place)
+    if not spared:
+        return denied
+    columns = dict(rec.columns)
+    for key in keys:
+        columns[key] = columns[key].copy()
+        columns[key][spared] = np.nan
+    told = f"{len(used)} of {len(places)} readings are used: one every {spacing_m:.0f} m or more"
+    return replace(denied, recording=replace(rec, columns=columns), remarks=(*denied.remarks, told))
 
 
 def _is_truth(rec: Recording) -> bool:
