@@ -22,6 +22,7 @@ from terranav.app.commands.estimators import estimators
 from terranav.app.commands.fly import fly
 from terranav.app.commands.live import live
 from terranav.app.commands.locate import locate
+from terranav.app.commands.monitor import monitor
 from terranav.app.commands.replay import replay
 from terranav.app.commands.reproduce import reproduce
 from terranav.app.commands.route import route
@@ -41,7 +42,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, compare, simulate, convert, replay, cue, locate, campaign, study, bench):
+for command in (demo, run, compare, simulate, convert, replay, cue, locate, monitor, campaign, study, bench):
     app.command()(command)
 app.add_typer(maps.app, name="map")
 plan.app.command()(route)

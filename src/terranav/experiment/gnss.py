@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terranav.core.checks import finite
+from terranav.core.earth import shift
 from terranav.core.errors import DataError
 from terranav.core.recording import Recording
 from terranav.core.records import Epoch, Estimate, Status
@@ -100,6 +101,26 @@ def monitor_recording(rec: Recording, result: Result, monitor: GnssMonitor, *, s
         alarms=alarms_of(rec.time_s, states),
         reasons=verdicts[-1].reasons,
     )
+
+
+def pulled(rec: Recording, speed_mps: float, from_s: float, towards_deg: float) -> Recording:
+    """A recording whose GNSS is false: from a time on it is pulled away.
+
+    Parameters
+    ----------
+    rec : Recording
+        With a truth, which is taken for what an honest GNSS says.
+    speed_mps : float
+        >= 0 [m/s].
+    from_s : float
+        On the recording's clock [s].
+    towards_deg : float
+        Clockwise from north [deg].
+    """
+    lat, lon = rec.columns["true_lat_deg"], rec.columns["true_lon_deg"]
+    away, towards = speed_mps * np.maximum(rec.time_s - from_s, 0.0), math.radians(towards_deg)
+    lat, lon = shift(lat, lon, away * math.cos(towards), away * math.sin(towards))
+    return rec.with_columns(true_lat_deg=lat, true_lon_deg=lon)
 
 
 def watched(

@@ -33,7 +33,7 @@ def fact(result: StudyResult, key: str) -> Any:
 
 
 def test_every_study_can_be_named() -> None:
-    assert studies() == ["bound", "consistency", "integrity", "plan", "real", "robust", "routes"]
+    assert studies() == ["bound", "consistency", "integrity", "monitor", "plan", "real", "robust", "routes"]
     for name in studies():
         assert study_named(name).name == name
     with pytest.raises(ConfigError, match=r"unknown study 'bond' .did you mean 'bound'"):

@@ -25,7 +25,8 @@ _DEFAULT = Path("terranav-study")
 
 def study(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="bound, consistency, integrity, plan, real, robust or routes.")
+        str,
+        typer.Argument(metavar="NAME", help="bound, consistency, integrity, monitor, plan, real, robust or routes."),
     ],
     *,
     runs: Annotated[
