@@ -78,6 +78,11 @@ class Live:
         self._dropping = self._told_failed = False
         self.since_measured, self.since_arrived = Delays(), Delays()
 
+    @property
+    def ready(self) -> bool:
+        """Whether all is open and loaded, so that a fix is worked on as it comes."""
+        return self._ready_s > 0.0
+
     def stop(self) -> None:
         """End the run: what has come in is still worked on."""
         self._stopped.set()
@@ -261,7 +266,7 @@ class Live:
         for wire in self.wires.values():
             await wire.close()
         await self.outputs.close()
-        if self._ready_s:
+        if self.ready:
             await self._checkpoint()
         self._logbook.close(self.facts())
 
