@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from terranav.app.replay_words import Flight
     from terranav.experiment.replay import Withheld
     from terranav.io.logs import Log
+    from terranav.maps.geoid import Geoid
     from terranav.maps.map import Map
 
 _HEAD_BYTES = 4096
@@ -31,6 +32,10 @@ class Typed:
     settings : mapping
         Of the estimator.
     seed : int
+    spacing_cells : float
+        A reading is used once the vehicle has moved by so much of the finest map's cell since the last that was.
+    geoid : sequence of Geoid
+        For heights that count from other datums than the maps.
     out : Path or None
         An existing folder.
     json : bool
@@ -42,6 +47,8 @@ class Typed:
     estimator: str = "marginalized"
     settings: Mapping[str, Any] | None = None
     seed: int = 0
+    spacing_cells: float = 0.5
+    geoid: Sequence[Geoid] = ()
     out: Path | None = None
     json: bool = False
     command: str = ""
@@ -107,22 +114,21 @@ def replay(log: Log, maps: tuple[Map, ...], typed: Typed) -> int:
     """Take GNSS away, navigate, aid with the maps, score, write and show; return the exit status."""
     from terranav.app.flying import Wanted, fly, with_baseline
     from terranav.app.replay_words import Flight, denied_pairs, log_pairs
-    from terranav.experiment.replay import withhold
+    from terranav.experiment.replay import spaced, withhold
 
     if not typed.json:
         show_pairs(log_pairs(log))
     if not maps:
         raise ConfigError("--map is not given, expected a map of what the log measured")
     with working("taking GNSS away"):
-        denied = withhold(log, typed.withheld)
+        spacing_m = typed.spacing_cells * min(chart.cell_m for chart in maps)
+        denied = [spaced(one, spacing_m) for one in withhold(log, typed.withheld)]
     if not typed.json:
         show_pairs(denied_pairs(denied))
     methods = with_baseline([typed.estimator], typed.settings)
     wanted = Wanted(typed.out, typed.json, 0.0, typed.command, typed.estimator)
-    flights = [
-        Flight(one, fly(one.recording, maps, one.recording.ins, methods=methods, seed=typed.seed, wanted=wanted))
-        for one in denied
-    ]
+    same: dict[str, Any] = {"methods": methods, "seed": typed.seed, "wanted": wanted, "geoid": typed.geoid}
+    flights = [Flight(one, fly(one.recording, maps, one.recording.ins, **same)) for one in denied]
     return _conclude(log, flights, typed)
 
 

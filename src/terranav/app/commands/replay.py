@@ -12,6 +12,7 @@ from terranav.app.commands import options
 _CUT, _WHEELS = "When GNSS is taken away, and what then", "A car, a boat"
 
 
+@options.reads_maps
 def replay(
     context: typer.Context,
     log: Annotated[
@@ -72,22 +73,26 @@ def replay(
         typer.Option("--set", metavar="KEY=VALUE", help="Setting of the estimator. Repeatable."),
     ] = None,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Epochs a second, at most, of a log.")] = 10.0,
+    spacing: Annotated[
+        float,
+        typer.Option(
+            metavar="CELLS",
+            help="Use a reading once it has moved so much of the finest map's cell since the last; 0 uses all.",
+        ),
+    ] = 0.5,
     columns: Annotated[
         Path | None, typer.Option(metavar="FILE", help="LOG is a table: its columns file, as for terranav convert.")
     ] = None,
     seed: options.Seed = 0,
     out: options.Out = None,
     as_json: options.Json = False,
-    map_kind: options.MapKinds = None,
-    map_sigma: options.MapSigmas = None,
-    map_correlation: options.MapCorrelations = None,
-    map_crs: options.MapCrs = None,
-    map_variable: options.MapVariables = None,
-    map_unit: options.MapUnits = None,
+    geoid: options.Geoids = None,
+    map_options: options.MapOptions,
 ) -> int:
     """Take GNSS away from a log, and say whether matching with a map would have held the position."""
     from terranav.app.console import working
     from terranav.app.given import folder_for, ins_from, open_maps, settings_from
+    from terranav.app.mapping import geoids_from
     from terranav.app.replay import Typed, open_any, spans_from
     from terranav.app.replay import replay as replayed
     from terranav.core.checks import finite
@@ -105,11 +110,10 @@ def replay(
     flown = Flown(stated, drift_seed, ins_from("--ins", ins) if ins else None)
     height = finite("--mount-height", mount_height)
     withheld = Withheld(spans_from(gnss_off), by, flown, height if ground_vehicle else None)
-    map_options = {
-        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
-        "variable": map_variable, "unit": map_unit,
-    }  # fmt: skip
-    typed = Typed(withheld, estimator, settings_from(settings or ()), seed, folder_for(out), as_json, context.obj)
+    spacing_cells = finite("--spacing", spacing, minimum=0.0)
+    told = settings_from(settings or ())
+    typed = Typed(withheld, estimator, told, seed, spacing_cells, geoids_from(geoid or ()), folder_for(out), as_json,
+                  context.obj)  # fmt: skip
     with working(f"reading {log.name}"):
         opened = open_any(log, rate_hz=finite("--rate", rate, above=0.0), columns=columns, imu=by == "imu")
     return replayed(opened, open_maps(maps or (), map_options), typed)
