@@ -48,6 +48,10 @@ class Flight:
     system : int
     kind : int
         Of the altimeter: 0 laser, 3 radar.
+    start_s : float
+        What the vehicle's clock says at the start.
+    course_deg : float
+        At the start.
     """
 
     seconds: float = 120.0
@@ -58,13 +62,14 @@ class Flight:
     system: int = 1
     kind: int = 3
     start_s: float = BOOT_S
+    course_deg: float = 30.0
     clearance_m: float = 300.0
     truth: dict[str, FloatArray] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(self.seed)
         t = np.arange(0.0, self.seconds, 1.0 / self.rate_hz)
-        heading = np.radians(30.0 + 360.0 * t / 240.0 + 20.0 * np.sin(t / 17.0))
+        heading = np.radians(self.course_deg + 360.0 * t / 240.0 + 20.0 * np.sin(t / 17.0))
         speed = 45.0 + 3.0 * np.sin(t / 11.0)
         vn, ve = speed * np.cos(heading), speed * np.sin(heading)
         step = 1.0 / self.rate_hz
