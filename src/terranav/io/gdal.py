@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from terranav.core.errors import DataError
 from terranav.io.grids import Grid, in_strips
+from terranav.kernels.stored import converted
 from terranav.maps.datum import split_crs, vertical_datum
 from terranav.maps.georeference import Transform, Window
 
@@ -38,41 +39,42 @@ def read_raster(file: Path, variable: str | int | None) -> Grid:
         crs, datum = _crs_and_datum(file, raster, band)
         scale, offset, unit = raster.scales[band - 1], raster.offsets[band - 1], raster.units[band - 1] or ""
         shape, transform = (raster.height, raster.width), _transform(file, raster)
+        void_of = _void_of(raster, band)
 
     def read(window: Window, factor: float, *, keep: bool = False) -> NDArray[np.float32]:
         with _kept(file) if keep else _opened(file) as again:
 
-            def part(row: int, past: int) -> NDArray[np.floating[Any]]:
+            def part(row: int, past: int) -> NDArray[np.float32]:
                 rows = ((row, past), window[1])
                 raw = again.read(band, window=rows)
-                values: NDArray[np.floating[Any]]
-                if scale == 1.0 and offset == 0.0:
-                    values = raw.astype(np.float32 if np.can_cast(raw.dtype, np.float32) else np.float64)
-                else:
-                    values = raw.astype(np.float64) * scale + offset
-                values[_void(again, band, rows, raw)] = np.nan
+                void, near = (math.nan, 0.0) if void_of is None else void_of
+                values: NDArray[np.float32] = converted(raw, scale, offset, factor, void, near)
+                if void_of is None:  # only the raster's mask knows
+                    values[again.read_masks(band, window=rows) == 0] = np.nan
                 return values
 
-            return in_strips(window, part, factor)
+            return in_strips(window, part)
 
     return Grid(shape, transform, read, crs, unit, datum, again=partial(read, keep=True))
 
 
-def _void(raster: Any, band: int, window: Window, raw: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which cells of a window have no value; told from the values as stored where they say it, else from the mask."""
+def _void_of(raster: Any, band: int) -> tuple[float, float] | None:
+    """The stored value that means none, and how near to it others mean it, too; None where only the mask tells."""
     nodata, flags = raster.nodatavals[band - 1], [flag.name for flag in raster.mask_flag_enums[band - 1]]
     if flags == ["all_valid"]:
-        return np.zeros(raw.shape, np.bool_)
-    if flags == ["nodata"] and nodata is not None and raw.dtype.kind in "iuf":
-        if raw.dtype.kind == "f" and math.isnan(nodata):
-            return np.asarray(np.isnan(raw))
-        limits = np.finfo(raw.dtype) if raw.dtype.kind == "f" else np.iinfo(raw.dtype)
-        if limits.min <= nodata <= limits.max and (raw.dtype.kind == "f" or nodata == round(nodata)):
-            void = raw.dtype.type(nodata)
-            # GDAL, too, takes what two steps of a float set apart for the same
-            near = 2.0 * np.spacing(np.abs(void)) if raw.dtype.kind == "f" else 0
-            return np.asarray(np.abs(raw - void) <= near if near else raw == void)
-    return np.asarray(raster.read_masks(band, window=window) == 0)
+        return math.nan, 0.0
+    name = raster.dtypes[band - 1]
+    if flags != ["nodata"] or nodata is None or not re.fullmatch(r"u?int(8|16|32)|float(32|64)", name):
+        return None
+    if math.isnan(nodata):
+        return (math.nan, 0.0) if name.startswith("float") else None
+    if name.startswith("float"):
+        float_limits, void = np.finfo(name), np.dtype(name).type(nodata)
+        if not float_limits.min <= nodata <= float_limits.max:
+            return None
+        return float(void), float(2.0 * np.spacing(np.abs(void)))  # GDAL, too, takes what two steps set apart for one
+    limits = np.iinfo(name)
+    return (nodata, 0.0) if limits.min <= nodata <= limits.max and nodata == round(nodata) else None
 
 
 @contextmanager

@@ -69,7 +69,7 @@ class Grid:
     again: Callable[[Window, float], NDArray[np.float32]] | None = None
 
 
-def in_strips(window: Window, part: Callable[[int, int], NDArray[Any]], factor: float) -> NDArray[np.float32]:
+def in_strips(window: Window, part: Callable[[int, int], NDArray[Any]], factor: float = 1.0) -> NDArray[np.float32]:
     """The values of a window, read some rows at a time, so that little more memory is taken than they fill.
 
     Parameters
@@ -79,13 +79,23 @@ def in_strips(window: Window, part: Callable[[int, int], NDArray[Any]], factor: 
     factor : float
     """
     (first, last), (west, east) = window
-    out = np.empty((last - first, east - west), np.float32)
     step = max(STRIP_CELLS // (east - west), 1)
+    if last - first <= step:
+        whole = scaled(part(first, last), factor)
+        return whole if whole.base is None else whole.copy()
+    out = np.empty((last - first, east - west), np.float32)
     for row in range(first, last, step):
         past = min(row + step, last)
-        values = part(row, past)
-        out[row - first : past - first] = values if factor == 1.0 else values * np.float64(factor)
+        out[row - first : past - first] = scaled(part(row, past), factor)
     return out
+
+
+def scaled(values: NDArray[Any], factor: float) -> NDArray[np.float32]:
+    """Values times a factor, which float32 cannot always hold; the same array where nothing is to be done."""
+    found: NDArray[np.float32] = (values if factor == 1.0 else values * np.float64(factor)).astype(
+        np.float32, copy=False
+    )
+    return found
 
 
 def grid_names(file: Path) -> tuple[list[str], tuple[str, ...]]:

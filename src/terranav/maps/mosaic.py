@@ -7,9 +7,10 @@ import math
 import pickle
 import threading
 import warnings
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +32,24 @@ MEMORY_MB = 256.0
 LEAST_MEMORY_MB = 8.0
 MARGIN = 3  # cells around what is asked for: what interpolation and the error of a local frame reach beyond it
 ONE_WINDOW = 2**22  # cells: places that lie farther apart are looked up block by block
+MOST_PER_DEGREE = 111_700.0  # metres: no degree of latitude or longitude is longer
+SEEN = 4  # windows that a thread remembers: a filter and its monitor look around with different radii
 SAMPLED = 2**24  # cells: what `info` looks at of a larger mosaic
+
+
+class _Seen(NamedTuple):
+    """A place and a radius, how far both may change together with the same window, and that window."""
+
+    lat_deg: float
+    lon_deg: float
+    radius_m: float
+    slack_m: float
+    land: Map
+
+    def serves(self, lat_deg: float, lon_deg: float, radius_m: float) -> bool:
+        """Whether another place and radius have the same window; False where it is not sure."""
+        degrees = abs(lat_deg - self.lat_deg) + abs(lon_deg - self.lon_deg)
+        return degrees * MOST_PER_DEGREE + abs(radius_m - self.radius_m) < self.slack_m
 
 
 class Mosaic(Map):
@@ -100,7 +118,8 @@ class Mosaic(Map):
         windows = Windows(self._read, self._part, edges, int(memory_mb * 2**20))
         own = {"_place": place, "_layers": several, "_finest": finest, "_start": start, "_windows": windows}
         own["_edges"] = edges
-        for key, value in (own | {"_again": again, "_clipped": threading.Event()}).items():
+        own |= {"_again": again, "_clipped": threading.Event(), "_here": threading.local()}
+        for key, value in own.items():
             object.__setattr__(self, key, value)
 
     _layers: list[Layer]
@@ -110,6 +129,7 @@ class Mosaic(Map):
     _windows: Windows[Map]
     _again: Callable[[], Mosaic] | None
     _clipped: threading.Event
+    _here: threading.local
 
     def __reduce__(self) -> tuple[Callable[[], Mosaic], tuple[()]]:
         if self._again is None:
@@ -164,11 +184,24 @@ class Mosaic(Map):
         """
         lat, lon = np.asarray(lat_deg, dtype=np.float64), np.asarray(lon_deg, dtype=np.float64)
         if lat.size == lon.size == 1:  # the usual case, at every step of a filter
-            ends = self._ends(lat.item(), lon.item(), radius_m)
-        else:
-            lat, lon = np.broadcast_arrays(lat, lon)
-            ends = self._reach(lat.ravel(), lon.ravel(), radius_m)
-        return self._windows.get(self._bounded(ends))
+            return self._around_one(lat.item(), lon.item(), radius_m)
+        lat, lon = np.broadcast_arrays(lat, lon)
+        return self._windows.get(self._bounded(self._reach(lat.ravel(), lon.ravel(), radius_m)))
+
+    def _around_one(self, lat_deg: float, lon_deg: float, radius_m: float) -> Map:
+        """As `around`; close to a place of before its window is known to be the same, without a look."""
+        seen: deque[_Seen] = self._here.__dict__.setdefault("seen", deque(maxlen=SEEN))
+        for last in seen:
+            if last.serves(lat_deg, lon_deg, radius_m):
+                return last.land
+        ends = self._ends(lat_deg, lon_deg, radius_m)
+        cells = self._bounded(ends)
+        land = self._windows.get(cells)
+        per_m = 0.6 * max(high - low for low, high in ends) / radius_m if radius_m > 0.0 else math.nan
+        slack = min(self._windows.slack(cells), BLOCK // 8) - 1  # no more, so that reading ahead hears of the motion
+        if self._windows.fits(cells) and per_m > 0.0:
+            seen.appendleft(_Seen(lat_deg, lon_deg, radius_m, slack / per_m, land))
+        return land
 
     def sample(self, lat_deg: ArrayLike, lon_deg: ArrayLike, method: Method = "bilinear") -> FloatArray:
         """As `Map.sample`."""
@@ -285,15 +318,17 @@ class Mosaic(Map):
     def _read(self, window: Window) -> Float32Array:
         """What the tiles have in a window of the grid."""
         (r0, r1), (c0, c1) = window
+        down, right = self._start
+        own = (r0 + down, r1 + down), (c0 + right, c1 + right)
+        if len(self._layers) == 1:
+            return self._finest.read(own)
         out = np.full((r1 - r0, c1 - c0), np.nan, np.float32)
         for layer in self._layers:
             if layer is self._finest:
-                down, right = self._start
-                found = layer.read(((r0 + down, r1 + down), (c0 + right, c1 + right)))
-                np.copyto(out, found, where=np.isnan(out))
+                np.copyto(out, layer.read(own), where=np.isnan(out))
             else:
                 interpolated(layer, self._place, (r0, c0), out)
-        for layer in self._layers if len(self._layers) > 1 else ():  # between the outer cells of tiles that meet
+        for layer in self._layers:  # between the outer cells of tiles that meet
             interpolated(layer, self._place, (r0, c0), out, nearest=True)
         return out
 

@@ -82,31 +82,42 @@ class Layer:
     def read(self, window: Window) -> Float32Array:
         """The values of a window, which may reach beyond the grid: NaN there, and around the Earth if the grid is."""
         (top, bottom), (left, right) = window
-        out = np.full((bottom - top, right - left), np.nan, np.float32)
-        if self.period is None:
-            self._fill(out, top, left)
-            return out
+        if self.period is None or 0 <= left < right <= self.period:
+            return self._filled(window)
+        out = np.empty((bottom - top, right - left), np.float32)
         column = left
         while column < right:  # turn by turn; a column more than the period is there twice
             turn = column // self.period
-            past = min(right, (turn + 1) * self.period)
-            self._fill(out[:, column - left : past - left], top, column - turn * self.period)
+            past, west = min(right, (turn + 1) * self.period), turn * self.period
+            out[:, column - left : past - left] = self._filled((window[0], (column - west, past - west)))
             column = past
         return out
 
-    def _fill(self, out: Float32Array, top: int, left: int) -> None:
-        """Write what the tiles have into a window that is NaN."""
-        bottom, right = top + out.shape[0], left + out.shape[1]
-        at = self.at
+    def _filled(self, window: Window) -> Float32Array:
+        """What the tiles have in a window, NaN elsewhere."""
+        (top, bottom), (left, right) = window
+        at, out = self.at, None
         for k in np.flatnonzero((at[:, 0] < bottom) & (at[:, 1] > top) & (at[:, 2] < right) & (at[:, 3] > left)):
+            if k in self._broken:
+                continue
             r0, r1, c0, c1 = (int(number) for number in at[k])
             rows, cols = (max(r0, top), min(r1, bottom)), (max(c0, left), min(c1, right))
-            part = out[rows[0] - top : rows[1] - top, cols[0] - left : cols[1] - left]
-            missing = np.isnan(part)
-            if k not in self._broken and missing.any():
-                found = self._read(int(k), ((rows[0] - r0, rows[1] - r0), (cols[0] - c0, cols[1] - c0)))
-                if found is not None:
-                    np.copyto(part, found, where=missing)
+            if out is not None:
+                part = out[rows[0] - top : rows[1] - top, cols[0] - left : cols[1] - left]
+                missing = np.isnan(part)
+                if not missing.any():
+                    continue
+            found = self._read(int(k), ((rows[0] - r0, rows[1] - r0), (cols[0] - c0, cols[1] - c0)))
+            if found is None:
+                continue
+            if out is not None:
+                np.copyto(part, found, where=missing)
+            elif (rows, cols) == window:
+                out = found
+            else:
+                out = np.full((bottom - top, right - left), np.nan, np.float32)
+                out[rows[0] - top : rows[1] - top, cols[0] - left : cols[1] - left] = found
+        return np.full((bottom - top, right - left), np.nan, np.float32) if out is None else out
 
     def _read(self, k: int, window: Window) -> Float32Array | None:
         """A window of a tile; None, and a warning the first time, of one that cannot be read."""

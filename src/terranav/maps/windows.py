@@ -20,6 +20,7 @@ Float32Array = NDArray[np.float32]
 T = TypeVar("T")
 
 BLOCK = 512  # cells: side of what is read at a time
+BLOCKS_AHEAD = 2  # how far ahead windows are made ready
 
 
 class Kept(Generic[T]):
@@ -106,6 +107,7 @@ class Windows(Generic[T]):
         self._blocks: Kept[Float32Array] = Kept(most_bytes // 2)
         self._whole: Kept[T] = Kept(most_bytes // 2)
         self._here = threading.local()
+        self._asked: set[Window] = set()  # of the thread that reads ahead
         self._ahead: tuple[int, ThreadPoolExecutor] | None = None
         self._lock = threading.Lock()
         self.waited_s = self.read_s = 0.0
@@ -134,11 +136,17 @@ class Windows(Generic[T]):
         (row, col), (down, across) = middles, halves
         return (row - down, row + down), (col - across, col + across)
 
+    @staticmethod
+    def slack(cells: Window) -> int:
+        """How many cells the ends of cells can move by with the same window around them."""
+        ends = [(first % BLOCK, (past - 1) % BLOCK) for first, past in cells]
+        return min(min(end, BLOCK - 1 - end) for pair in ends for end in pair)
+
     def get(self, cells: Window, *, ahead: bool = True) -> T:
         """The smallest window of whole blocks around cells.
 
-        What the same window will be one block farther on, in the direction in which this thread's last ones moved, is
-        then read ahead.
+        What the same window will be a block and two farther on, in the direction in which this thread's last ones
+        moved, is then read ahead.
         """
         window, here = self._aligned(cells), self._here
         if here.__dict__.get("window") != window:
@@ -160,20 +168,31 @@ class Windows(Generic[T]):
         row, col = 0.5 * (top + bottom), 0.5 * (left + right)
         was_row, was_col = here.__dict__.setdefault("middle", (row, col))
         far = math.hypot(row - was_row, col - was_col)
-        if far < BLOCK / 16.0:  # no direction yet
-            return
-        here.middle = row, col
-        down, across = round((row - was_row) * BLOCK / far), round((col - was_col) * BLOCK / far)
-        coming = self._aligned(((top + down, bottom + down), (left + across, right + across)))
-        if coming not in (window, here.__dict__.get("coming")):
-            here.coming = coming
-            if coming not in self._whole:
-                self._pool().submit(self._kept, coming)
+        if far >= BLOCK / 16.0:
+            here.middle = row, col
+            here.direction = (row - was_row) / far, (col - was_col) / far
+        down, across = here.__dict__.get("direction", (0.0, 0.0))
+        for cells_on in range(BLOCK, (BLOCKS_AHEAD + 1) * BLOCK, BLOCK):
+            d, a = round(cells_on * down), round(cells_on * across)
+            coming = self._aligned(((top + d, bottom + d), (left + a, right + a)))
+            fits = 0 < 2 * _count(coming) <= self.most_cells
+            if coming != window and fits and coming not in self._asked and coming not in self._whole:
+                pool = self._pool()
+                self._asked.add(coming)
+                pool.submit(self._made_ready, coming)
+
+    def _made_ready(self, window: Window) -> None:
+        """Keep a window, in the thread that reads ahead; what is wrong with it is told when it is asked for."""
+        try:
+            self._kept(window)
+        finally:
+            self._asked.discard(window)
 
     def _pool(self) -> ThreadPoolExecutor:
         """One thread that reads ahead, of this process."""
         with self._lock:
             if self._ahead is None or self._ahead[0] != os.getpid():
+                self._asked.clear()
                 self._ahead = os.getpid(), ThreadPoolExecutor(1, thread_name_prefix="terranav-map")
             return self._ahead[1]
 
@@ -188,6 +207,10 @@ class Windows(Generic[T]):
     def _assembled(self, window: Window) -> Float32Array:
         """A window out of its blocks."""
         (top, bottom), (left, right) = window
+        if bottom - top <= BLOCK >= right - left:  # windows begin and end with blocks, or with the grid
+            out = np.ascontiguousarray(self._block(top // BLOCK, left // BLOCK)[: bottom - top, : right - left])
+            out.setflags(write=False)
+            return out
         out = np.empty((bottom - top, right - left), np.float32)
         for i in range(top // BLOCK, -(-bottom // BLOCK)):
             for j in range(left // BLOCK, -(-right // BLOCK)):
@@ -205,6 +228,7 @@ class Windows(Generic[T]):
             start = time.perf_counter()
             found = self._read(((i * BLOCK, (i + 1) * BLOCK), (j * BLOCK, (j + 1) * BLOCK)))
             self.read_s += time.perf_counter() - start
+            found.setflags(write=False)
             return found
 
         return self._blocks.get((i, j), 4 * BLOCK * BLOCK, read)
@@ -212,4 +236,4 @@ class Windows(Generic[T]):
 
 def _count(window: Window) -> int:
     (top, bottom), (left, right) = window
-    return (bottom - top) * (right - left)
+    return max(bottom - top, 0) * max(right - left, 0)
