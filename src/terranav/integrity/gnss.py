@@ -314,7 +314,7 @@ class GnssMonitor:
         else:
             reasons = (self._for(state, estimate, difference, threshold, farthest),)
         before = state.verdict
-        since_s = before.since_s if before.status is status else state.time_s
+        since_s = before.since_s if before.status is status and math.isfinite(before.since_s) else state.time_s
         return changed(state, verdict=GnssVerdict(status, since_s, difference, threshold, reasons))
 
     def _status(self, state: GnssState, farthest_m: float) -> GnssStatus:
