@@ -143,6 +143,7 @@ def test_global_position_sensor_says_terrain_and_when_it_was_measured() -> None:
     message = decoded(Encoder(7).global_position(made()))
     assert message.get_msgId() == 296
     assert (message.get_srcSystem(), message.get_srcComponent()) == (7, 191)
+    assert message.id == 1  # 0 would be fused by no slot
     assert message.source == dialect().GLOBAL_POSITION_SRC_TERRAIN
     assert message.time_usec - message.processing_time == 12_000_000  # sending less processing is the measurement
     assert message.processing_time == 100_000

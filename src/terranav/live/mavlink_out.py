@@ -28,6 +28,8 @@ _WRAP_S = 3600.0
 _ONBOARD_CONTROLLER, _NO_AUTOPILOT, _ACTIVE = 18, 8, 4
 _LOCAL_FRD, _BODY_FRD, _GLOBAL = 20, 12, 0
 _SOURCE_TERRAIN = 4
+#: of this source among the auxiliary ones of PX4, its parameter EKF2_AGP0_ID; 0 would mean none
+SENSOR_ID = 1
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 #: claimed for what the map says nothing of: height [m], attitude [rad], velocity [m/s], rates [rad/s]
 _ALT_SIGMA_M, _ATTITUDE_SIGMA, _VELOCITY_SIGMA, _RATE_SIGMA = 100.0, 0.1, 5.0, 1.0
@@ -101,7 +103,7 @@ class Encoder:
         heights = (float(offer.alt_m), float(offer.alt_m))
         times = (sent_us, min(offer.age_us, 0xFFFFFFFF))
         return self._packed(
-            make(0, 0, 0, *times, _SOURCE_TERRAIN, 0, *place, *heights, offer.horizontal_m, _ALT_SIGMA_M)
+            make(0, 0, SENSOR_ID, *times, _SOURCE_TERRAIN, 0, *place, *heights, offer.horizontal_m, _ALT_SIGMA_M)
         )
 
     def odometry(self, offer: Offer, origin: Origin, resets: int) -> bytes:
