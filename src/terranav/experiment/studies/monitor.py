@@ -6,16 +6,15 @@ in a direction that is drawn, until it is flagged, LONGEST_S at most; the monito
 till then. Beside them stand a pull at 2 m/s that only the map is asked about, and one that goes on since the flight
 began, so that the monitor has never seen an honest reading. GNSS tells no velocity: a spoofer would pull that as well.
 
-Cases: synthetic ground, the sample DEM, and of a folder of real data an alpine foreland and the hills about Canberra,
-all with an INS as told and one that is 1.5 times worse in everything; and the helicopter days of `real_flights`, whose
-GNSS was received in flight, with an INS added about it.
+Cases: synthetic ground, the sample DEM, and of a folder of real data the flattest square of an alpine foreland and the
+helicopter days of `real_flights`, whose GNSS was received in flight, with an INS added about it; all with an INS as told
+and one that is 1.5 times worse in everything.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +41,7 @@ from terranav.experiment.studies.monitor_world import (
     gnss_error_m,
     recorded,
     wandering,
+    worse,
 )
 from terranav.experiment.studies.real_flights import FlightCase, flight_cases
 from terranav.experiment.studies.sources import MapSource, data_folder
@@ -116,12 +116,12 @@ class HelicopterCase:
 
     def facts(self) -> Mapping[str, Any]:
         """What its figures depend on."""
-        return self.flight.facts()
+        return {**self.flight.facts(), "name": self.name}
 
     def flown(self, rng: Generator) -> tuple[Recording, FloatArray]:
         """A recording; its GNSS has errors enough of its own."""
-        rec = add_drift(real_flights.true_track(self.flight.path), self.flight.ins, rng)
-        return rec, np.zeros((len(rec), 2))
+        rec = add_drift(real_flights.true_track(self.flight.path), worse(INS, self.factor), rng)
+        return replace(rec, ins=INS), np.zeros((len(rec), 2))
 
 
 @dataclass(frozen=True)
@@ -158,11 +158,12 @@ def plan(setup: Setup) -> Plan:
     if data is None:
         notes.append("only the sample DEM is at hand: name a folder of real data (--data DIR)")
     else:
-        sources += _land(data)
+        foreland = data / "srtm" / "N48E010.hgt"
+        sources += [Box(foreland, TERRAIN)] if foreland.is_file() else []
         flights, why_not = flight_cases(data, setup.settings)
         notes += why_not
     cases = [GroundCase(source, factor, settings) for factor in WORSE for source in sources]
-    return Plan([*cases, *map(HelicopterCase, flights)], notes)
+    return Plan([*cases, *(HelicopterCase(flight, factor) for factor in WORSE for flight in flights)], notes)
 
 
 def run_case(case: GroundCase | HelicopterCase, seeds: SeedSequence) -> dict[str, float]:
@@ -210,17 +211,6 @@ def _attacked(
         if after.verdict.status is wanted:
             return {f"{attack.name}:m": float(off[i]), f"{attack.name}:s": float(after.time_s - flight.time_s[first])}
     return found
-
-
-def _land(data: Path) -> list[MapSource]:
-    """Real land besides the sample DEM, as far as it is there."""
-    foreland, hills = data / "srtm" / "N48E010.hgt", data / "srtm" / "s36_e149_3arc_v2.tif"
-    land: list[MapSource] = []
-    if foreland.is_file():
-        land.append(Box(foreland, TERRAIN))
-    if hills.is_file():
-        land.append(MapSource(hills, TERRAIN))
-    return land
 
 
 STUDY = Study(
