@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from terranav.core.recording import Recording
     from terranav.maps.map import Map
 
+#: said for --map, the embedded one
+SAMPLE = Path("sample")
+
 
 @dataclass(frozen=True)
 class Given:
@@ -61,7 +64,7 @@ class Given:
 
 
 def open_maps(paths: Sequence[Path], options: Mapping[str, Sequence[Any] | None]) -> tuple[Map, ...]:
-    """Open each map; a folder of tiles is one.
+    """Open each map; a folder of tiles is one, and 'sample' the embedded one.
 
     Parameters
     ----------
@@ -87,7 +90,20 @@ def open_maps(paths: Sequence[Path], options: Mapping[str, Sequence[Any] | None]
             each[i]["correlation_m" if key == "correlation" else key] = (values or ())[
                 i if len(values or ()) == n else 0
             ]
-    return tuple(open_map(path, **keywords) for path, keywords in zip(paths, each, strict=True))
+    return tuple(
+        _embedded(keywords) if path == SAMPLE and not path.exists() else open_map(path, **keywords)
+        for path, keywords in zip(paths, each, strict=True)
+    )
+
+
+def _embedded(keywords: Mapping[str, Any]) -> Map:
+    """The map that needs no file; it is what it is."""
+    from terranav.maps.sample_dem import sample_map
+
+    if keywords:
+        name = next(iter(keywords)).removesuffix("_m")
+        raise ConfigError(f"--map-{name} is given for the embedded map 'sample', expected a map in a file")
+    return sample_map()
 
 
 def ins_from(option: str, text: str) -> InsGrade:

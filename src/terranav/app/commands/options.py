@@ -16,7 +16,11 @@ MAP_PANEL, INS_PANEL = "How the maps are read", "The INS"
 Recording = Annotated[Path, typer.Option("--recording", metavar="FILE", help="Recording: .csv or .parquet.")]
 Maps = Annotated[
     list[Path] | None,
-    typer.Option("--map", metavar="FILE", help="Map: any GDAL raster or NetCDF/GMT grid. Repeatable."),
+    typer.Option(
+        "--map",
+        metavar="FILE",
+        help="Map: any GDAL raster or NetCDF/GMT grid, a folder of tiles, or sample. Repeatable.",
+    ),
 ]
 MapKinds = Annotated[
     list[str] | None,
