@@ -12,7 +12,8 @@ from terranav.app.console import complain, show, show_pairs
 from terranav.app.given import ins_from
 from terranav.app.words import NOTHING, distance, duration, moment, percent
 from terranav.core.checks import finite
-from terranav.core.errors import DataError
+from terranav.core.errors import ConfigError, DataError
+from terranav.core.ins_grade import InsGrade
 from terranav.core.recording import Recording
 from terranav.experiment.gnss import Alarm, Watch
 from terranav.experiment.result import Result
@@ -31,6 +32,8 @@ class Monitored:
     result : Result
         The map-aided estimates.
     monitor : GnssMonitor
+    told : str
+        How the INS was had.
     pull_mps : float
         At which speed GNSS was pulled away to see what happens, 0 for not [m/s].
     pull_from_s : float
@@ -40,6 +43,7 @@ class Monitored:
     watch: Watch
     result: Result
     monitor: GnssMonitor
+    told: str
     pull_mps: float = 0.0
     pull_from_s: float = math.nan
 
@@ -56,21 +60,89 @@ class Monitored:
         return next((one for one in self.watch.alarms if one.from_s >= self.pull_from_s), None)
 
 
-def read(log: Path | None, recording: Path | None, first_s: float | None, drift: tuple[str, int]) -> Recording:
-    """A log or a recording, its first seconds, with the drift of an INS if one is wanted (its text, its seed)."""
-    text, seed = drift
-    grade = ins_from("--drift", text) if text else None
-    rec = _opened(log, warn=grade is None) if log is not None else _read(recording)
-    if not rec.has_truth:
-        raise DataError(f"{rec.name}: has no GNSS to monitor, expected the columns true_lat_deg and true_lon_deg")
-    if first_s is not None:
-        start_s = float(rec.time_s[0])
-        rec = rec.between(start_s, start_s + finite("--first", first_s, above=0.0))
-    if grade is None:
-        return rec
+@dataclass(frozen=True)
+class Typed:
+    """What was typed of the INS and of how long: texts as for `ins_from`."""
+
+    ins: str = ""
+    drift: str = ""
+    drift_seed: int = 0
+    by: str = "auto"
+    first_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Watchable:
+    """An INS free of GNSS, GNSS beside it as the truth, and how the INS was had, in words."""
+
+    rec: Recording
+    ins: InsGrade | None
+    told: str
+
+
+def read(log: Path | None, recording: Path | None, typed: Typed, finest_m: float) -> Watchable:
+    """A recording as it is, or a log whose INS is dead reckoning from its first fix on.
+
+    Parameters
+    ----------
+    log, recording : Path or None
+        One of them.
+    typed : Typed
+    finest_m : float
+        Cell of the finest map: readings of a log are thinned to half of it [m].
+    """
+    told = ins_from("--ins", typed.ins) if typed.ins else None
+    drift = ins_from("--drift", typed.drift) if typed.drift else None
+    if log is not None:
+        return _dead_reckoned(log, typed, (told, drift), finest_m)
+    from terranav.io.recordings import read_recording
+
+    assert recording is not None
+    if typed.by != "auto":
+        raise ConfigError(f"--by is {typed.by!r} for a recording, expected a log: a recording has an INS, or --drift")
+    rec = _shortened(_with_gnss(read_recording(recording)), typed.first_s)
+    if drift is None:
+        return Watchable(rec, told, "the indicated position of the recording")
     from terranav.ins.drift import add_drift
 
-    return add_drift(rec, grade, seed)
+    return Watchable(add_drift(rec, drift, typed.drift_seed), told, "the GNSS track with the drift of an INS added")
+
+
+def _dead_reckoned(
+    path: Path, typed: Typed, grades: tuple[InsGrade | None, InsGrade | None], finest_m: float
+) -> Watchable:
+    """A log, navigated without GNSS as `terranav replay` does; one line where GNSS helped all the same."""
+    from terranav.app.replay import open_any
+    from terranav.experiment.replay import Withheld, spaced, withhold
+    from terranav.experiment.replay_ways import Flown
+
+    told, drift = grades
+    log = open_any(path, imu=typed.by == "imu")
+    _with_gnss(log.recording)
+    flown = Flown(drift, typed.drift_seed, told)
+    denied = spaced(withhold(log, Withheld("auto", typed.by, flown))[0], 0.5 * finest_m)
+    if denied.optimistic:
+        complain(
+            f"{path}: GNSS went into {', '.join(denied.seen_with_gnss)}, or may have, so that a false GNSS pulls the "
+            "INS along; expected --by another way or --drift",
+            "warning",
+        )
+    return Watchable(_shortened(denied.recording, typed.first_s), told, denied.by.told)
+
+
+def _with_gnss(rec: Recording) -> Recording:
+    """The recording; DataError where it has no GNSS."""
+    if not rec.has_truth:
+        raise DataError(f"{rec.name}: has no GNSS to monitor, expected the columns true_lat_deg and true_lon_deg")
+    return rec
+
+
+def _shortened(rec: Recording, first_s: float | None) -> Recording:
+    """Its first seconds, if so many are wanted."""
+    if first_s is None:
+        return rec
+    start_s = float(rec.time_s[0])
+    return rec.between(start_s, start_s + finite("--first", first_s, above=0.0))
 
 
 def facts(found: Monitored) -> dict[str, Any]:
@@ -83,6 +155,7 @@ def facts(found: Monitored) -> dict[str, Any]:
     }  # fmt: skip
     return {
         "recording": watch.name,
+        "ins": found.told,
         "verdict": verdict_line(found),
         "status": str(watch.status[-1]),
         "reasons": list(watch.reasons),
@@ -128,6 +201,7 @@ def show_monitored(found: Monitored, files: Mapping[str, str]) -> None:
     show_pairs(
         [
             ("recording", watch.name),
+            ("INS", found.told),
             ("map", f"a fix is usable at {usable} of the epochs"),
             ("limits", f"set for {found.monitor.false_alarms_per_h:g} false alarms per flight hour"),
             ("verdict", verdict_line(found)),
@@ -144,24 +218,3 @@ def show_monitored(found: Monitored, files: Mapping[str, str]) -> None:
             table.add_row(*row, "; ".join(one.reasons))
         show(table)
     show_pairs(files.items())
-
-
-def _read(recording: Path | None) -> Recording:
-    from terranav.io.recordings import read_recording
-
-    assert recording is not None
-    return read_recording(recording)
-
-
-def _opened(log: Path, *, warn: bool) -> Recording:
-    """A log; one line where what it indicates already had GNSS in it."""
-    from terranav.io.logs import open_log
-
-    read = open_log(log)
-    if warn and "lat_deg" in read.facts["seen_with_gnss"]:
-        complain(
-            f"{log}: its own position used GNSS, or may have, so it follows a false one; add an INS without GNSS with "
-            "--drift 500,0.5,1",
-            "warning",
-        )
-    return read.recording

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from terranav.core.recording import Recording
 
 
+@options.reads_maps
 def monitor(
-    given: Annotated[Path | None, typer.Argument(metavar="LOG", help="Log of an autopilot or a receiver.")] = None,
+    log: Annotated[Path | None, typer.Argument(metavar="LOG", help="Log of an autopilot or a receiver.")] = None,
     *,
     recording: options.OptionalRecording = None,
     maps: options.Maps = None,
@@ -34,23 +35,27 @@ def monitor(
     ins: options.Ins = "",
     drift: options.Drift = "",
     drift_seed: options.DriftSeed = 0,
+    by: Annotated[
+        str,
+        typer.Option(
+            metavar="WAY",
+            rich_help_panel=options.INS_PANEL,
+            help="How a log is navigated: velocity, airspeed, position, imu or drift; by default what GNSS had the "
+            "least part in.",
+        ),
+    ] = "auto",
     first: options.First = None,
-    map_kind: options.MapKinds = None,
-    map_sigma: options.MapSigmas = None,
-    map_correlation: options.MapCorrelations = None,
-    map_crs: options.MapCrs = None,
-    map_variable: options.MapVariables = None,
-    map_unit: options.MapUnits = None,
+    map_options: options.MapOptions,
 ) -> int:
     """Compare GNSS with the map-aided position: consistent, suspect, spoofed, jammed or unknown, and the alarms.
 
     The true position of a recording is the GNSS under test; the indicated one must come from an INS without GNSS, such
-    as one that --drift makes up about it.
+    as one that --drift makes up about it. A log is navigated without GNSS as by `terranav replay`.
     """
     from terranav.app.console import OK, show_json, working
     from terranav.app.console import as_json as text_of
-    from terranav.app.given import folder_for, ins_from, open_maps
-    from terranav.app.monitoring import Monitored, facts, read, show_monitored
+    from terranav.app.given import folder_for, open_maps
+    from terranav.app.monitoring import Monitored, Typed, facts, read, show_monitored
     from terranav.core.checks import finite
     from terranav.core.errors import ConfigError
     from terranav.core.ins_grade import InsGrade
@@ -58,25 +63,24 @@ def monitor(
     from terranav.experiment.run import run
     from terranav.integrity.gnss import GnssMonitor
 
-    if (given is None) == (recording is None):
-        raise ConfigError(f"LOG and --recording are {'both' if given else 'not'} given, expected one of them")
-    map_options = {
-        "kind": map_kind, "sigma": map_sigma, "correlation": map_correlation, "crs": map_crs,
-        "variable": map_variable, "unit": map_unit,
-    }  # fmt: skip
-    folder, told = folder_for(out), ins_from("--ins", ins) if ins else None
-    rec = read(given, recording, first, (drift, drift_seed))
+    if (log is None) == (recording is None):
+        raise ConfigError(f"LOG and --recording are {'both' if log else 'not'} given, expected one of them")
+    folder = folder_for(out)
     speed = finite("--pull", pull, minimum=0.0)
-    finite("--pull-towards", pull_towards)
+    towards = finite("--pull-towards", pull_towards)
     finite("--gnss-sigma", gnss_sigma, above=0.0)
-    from_s = _start(rec, pull_at)
     charts = open_maps(maps or (), map_options)
+    finest_m = min((chart.cell_m for chart in charts), default=0.0)
+    with working("reading"):
+        given_ins = read(log, recording, Typed(ins, drift, drift_seed, by, first), finest_m)
+    rec, told = given_ins.rec, given_ins.ins
+    from_s = _start(rec, pull_at)
+    watcher = GnssMonitor(told or rec.ins or InsGrade(), false_alarms_per_h=rate)
     with working("flying"):
         result = run(estimator, rec, charts, seed=seed, ins=told)
-        watcher = GnssMonitor(told or rec.ins or InsGrade(), false_alarms_per_h=rate)
-        under_test = pulled(rec, speed, from_s, pull_towards) if speed else rec
+        under_test = pulled(rec, speed, from_s, towards) if speed else rec
         watch = monitor_recording(under_test, result, watcher, sigma_m=gnss_sigma)
-    found = Monitored(watch, result, watcher, speed, from_s)
+    found = Monitored(watch, result, watcher, given_ins.told, speed, from_s)
     files: dict[str, str] = {}
     if folder is not None:
         from terranav.app.monitor_figure import monitor_picture

@@ -7,8 +7,8 @@ till then. Beside them stand a pull at 2 m/s that only the map is asked about, a
 began, so that the monitor has never seen an honest reading. GNSS tells no velocity: a spoofer would pull that as well.
 
 Cases: synthetic ground, the sample DEM, and of a folder of real data the flattest square of an alpine foreland and the
-helicopter days of `real_flights`, whose GNSS was received in flight, with an INS added about it; all with an INS as told
-and one that is 1.5 times worse in everything.
+helicopter days of `real_flights`, whose GNSS was received in flight, with an INS added about it; all with an INS as
+told and one that is 1.5 times worse in everything.
 """
 
 from __future__ import annotations
