@@ -43,10 +43,10 @@ def monitor_picture(found: Monitored) -> Figure:
                 at = float(np.interp(flagged.from_s, watch.time_s, time))
                 off_m = found.pull_mps * (flagged.from_s - found.pull_from_s)
                 axes.axvline(at, color=OTHERS[0], lw=1.2)
-                axes.annotate(f" flagged: {distance(off_m)} off", (at, off_m), color=OTHERS[0], va="bottom")
+                axes.annotate(f"flagged: {distance(off_m)} off ", (at, off_m), color=OTHERS[0], va="bottom", ha="right")
         shown = watch.difference_m[np.isfinite(watch.difference_m)]
         high = max(float(shown.max()) if shown.size else 0.0, found.monitor.limit_m)
-        axes.set(ylim=(0.0, min(1.05 * high, MOST * found.monitor.limit_m)), ylabel="metres")
+        axes.set(xlim=(time[0], time[-1]), ylim=(0.0, min(1.05 * high, MOST * found.monitor.limit_m)), ylabel="metres")
         axes.legend(loc="upper left")
         _ribbon(ribbon, found, time)
         ribbon.set_xlabel(label)

@@ -210,7 +210,7 @@ def show_monitored(found: Monitored, files: Mapping[str, str]) -> None:
     )
     if watch.alarms:
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-        for head in ("alarm", "from", "to", "GNSS off", "why"):
+        for head in ("alarm", "from", "to", "difference", "why"):
             table.add_column(head, justify="left" if head in ("alarm", "why") else "right", overflow="fold")
         for one in watch.alarms:
             end = moment(one.to_s - start_s) if math.isfinite(one.to_s) else NOTHING

@@ -161,7 +161,7 @@ class GnssMonitor:
         error_m, error_mps = _ins_error(epoch, state.velocity_mps, heard)
         variance = heard.sigma_m**2 + (self.timing_s * _speed(state)) ** 2
         of_map = self._by_map(estimate, error_m, variance)
-        found = [of_map, self._by_ins(state, error_m, variance), self._by_velocity(state, heard, error_mps)]
+        found = [of_map, self._by_ins(state, of_map, error_m, variance), self._by_velocity(state, heard, error_mps)]
         found.append(self._frozen(state))
         state = self._judged(state, found, of_map)
         state = self._learned(state, error_m, variance)
@@ -223,10 +223,11 @@ class GnssMonitor:
         away, cov = estimate.ins_error_m - error_m, self.map_factor**2 * estimate.cov_m2
         return Finding(float(gnss_bank.squared(away, cov, variance)), "map")
 
-    def _by_ins(self, state: GnssState, error_m: FloatArray, variance: float) -> Finding:
-        """GNSS against each prediction of the INS."""
+    def _by_ins(self, state: GnssState, of_map: Finding, error_m: FloatArray, variance: float) -> Finding:
+        """GNSS against each prediction of the INS; the map's own is left to the map where that has just spoken."""
         assert state.bank is not None
         tests = gnss_bank.position_tests(state.bank, error_m, variance)
+        tests[GROUNDED] *= not of_map.text
         worst = int(np.argmax(tests)) if self.horizons_s else GROUNDED
         squared = float(tests[worst])
         return Finding(squared, self._told(state, worst, error_m, variance) if self._odd(squared) else "")
