@@ -82,7 +82,8 @@ def test_a_log_is_navigated_without_gnss(tmp_path: Path, capsys: pytest.CaptureF
         (("--gnss-sigma", "0"), "--gnss-sigma is 0.0"),
         (("--drift", "fast"), "--drift is 'fast'"),
         (("--estimator", "marginal"), "unknown estimator 'marginal'"),
-        (("--by", "velocity"), "--by is 'velocity' for a recording"),
+        (("--by", "velocity"), "--by velocity is given for a recording"),
+        (("--ground-vehicle",), "--ground-vehicle is given for a recording"),
         (("--first", "-3"), "--first is -3.0"),
     ],
 )

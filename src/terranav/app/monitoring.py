@@ -19,6 +19,7 @@ from terranav.experiment.gnss import Alarm, Watch
 from terranav.experiment.result import Result
 from terranav.integrity.gnss import GnssMonitor, GnssStatus
 
+MOUNT_M = 1.0  # of the barometer of a vehicle on the ground
 _MAP_SAID = (GnssStatus.CONSISTENT, GnssStatus.SUSPECT, GnssStatus.UNKNOWN)
 
 
@@ -62,12 +63,13 @@ class Monitored:
 
 @dataclass(frozen=True)
 class Typed:
-    """What was typed of the INS and of how long: texts as for `ins_from`."""
+    """What was typed of the INS and of how long: texts as for `ins_from`; `on_ground`: a barometer on wheels."""
 
     ins: str = ""
     drift: str = ""
     drift_seed: int = 0
     by: str = "auto"
+    on_ground: bool = False
     first_s: float | None = None
 
 
@@ -98,8 +100,9 @@ def read(log: Path | None, recording: Path | None, typed: Typed, finest_m: float
     from terranav.io.recordings import read_recording
 
     assert recording is not None
-    if typed.by != "auto":
-        raise ConfigError(f"--by is {typed.by!r} for a recording, expected a log: a recording has an INS, or --drift")
+    if typed.by != "auto" or typed.on_ground:
+        what = "--ground-vehicle" if typed.on_ground else f"--by {typed.by}"
+        raise ConfigError(f"{what} is given for a recording, expected a log: a recording has an INS, or --drift")
     rec = _shortened(_with_gnss(read_recording(recording)), typed.first_s)
     if drift is None:
         return Watchable(rec, told, "the indicated position of the recording")
@@ -120,7 +123,8 @@ def _dead_reckoned(
     log = open_any(path, imu=typed.by == "imu")
     _with_gnss(log.recording)
     flown = Flown(drift, typed.drift_seed, told)
-    denied = spaced(withhold(log, Withheld("auto", typed.by, flown))[0], 0.5 * finest_m)
+    wanted = Withheld("auto", typed.by, flown, MOUNT_M if typed.on_ground else None)
+    denied = spaced(withhold(log, wanted)[0], 0.5 * finest_m)
     if denied.optimistic:
         complain(
             f"{path}: GNSS went into {', '.join(denied.seen_with_gnss)}, or may have, so that a false GNSS pulls the "

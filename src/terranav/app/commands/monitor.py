@@ -44,6 +44,12 @@ def monitor(
             "least part in.",
         ),
     ] = "auto",
+    ground_vehicle: Annotated[
+        bool,
+        typer.Option(
+            "--ground-vehicle", help="LOG is of a car or a boat: its barometer tells the height of the terrain."
+        ),
+    ] = False,
     first: options.First = None,
     map_options: options.MapOptions,
 ) -> int:
@@ -72,7 +78,7 @@ def monitor(
     charts = open_maps(maps or (), map_options)
     finest_m = min((chart.cell_m for chart in charts), default=0.0)
     with working("reading"):
-        given_ins = read(log, recording, Typed(ins, drift, drift_seed, by, first), finest_m)
+        given_ins = read(log, recording, Typed(ins, drift, drift_seed, by, ground_vehicle, first), finest_m)
     rec, told = given_ins.rec, given_ins.ins
     from_s = _start(rec, pull_at)
     watcher = GnssMonitor(told or rec.ins or InsGrade(), false_alarms_per_h=rate)
