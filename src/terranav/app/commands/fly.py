@@ -247,9 +247,9 @@ def verdict(facts: dict[str, Any]) -> str:
     """One line: how far off the vehicle was, with the fixes and without."""
     from terranav.app.words import distance
 
-    track = f"{distance(facts['off_track_p95_m'])} beside the planned track"
-    own = f"{distance(facts['own_p95_m'])} (95 %), {distance(facts['own_last_m'])} at the end"
+    track = f"within {distance(facts['off_track_p95_m'])} of the planned track"
+    own = f"own position wrong by {distance(facts['own_p95_m'])} (95 %), {distance(facts['own_last_m'])} at the end"
     if not facts["fixes_used"]:
-        return f"without fixes the vehicle was wrong by {own}, and flew within {track} (95 %)."
-    without = f"{distance(facts['without_fixes_p95_m'])} (95 %), {distance(facts['without_fixes_last_m'])} at the end"
-    return f"with fixes the vehicle was wrong by {own}; without them by {without}. It flew within {track} (95 %)."
+        return f"without fixes: {own}; {track}"
+    without = f"{distance(facts['without_fixes_p95_m'])}, {distance(facts['without_fixes_last_m'])}"
+    return f"with fixes: {own} (without: {without}); {track}"

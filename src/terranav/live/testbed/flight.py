@@ -132,6 +132,11 @@ class Flight:
         """A message of telemetry as of the last tick; None for one that the vehicle does not have."""
         return self.telemetry.one(name, self._told) if self._told is not None else None
 
+    @property
+    def own_error_m(self) -> float:
+        """How far the vehicle's own position is off at the last tick; NaN before the first [m]."""
+        return math.nan if self._known is None else self.navigation.errors_m(self._known, self.truth)[0]
+
     def facts(self) -> dict[str, Any]:
         """How it goes, or went: numbers and counts for a summary; errors since GNSS was lost or went wrong [m]."""
         told, navigation = self.settings, self.navigation
