@@ -38,7 +38,7 @@ from terranav.live.engine import Engine
 from terranav.live.records import Fix, Packet, Remark
 from terranav.live.settings import LiveSettings
 
-EPISODE = 5000  # damaged messages
+EPISODE = 10_000  # damaged messages
 SOURCES = ("velocity", "position", "airspeed")
 READ = (0, 2, 24, 29, 30, 32, 33, 74, 105, 132, 141)
 SENTENCES = ("GPGGA", "GPRMC", "HEHDT", "GPVTG", "VDVBW", "SDDPT", "SDDBT", "PASHR", "GPZDA", "XXABC")

@@ -281,3 +281,29 @@ def test_settings_and_their_digest_are_stable() -> None:
     assert LiveSettings().grade == GRADES["velocity"]
     assert LiveSettings(ins=InsGrade(5.0)).grade.position_sigma_m == 5.0
     assert pickle.dumps(outcome()[0][:3])  # fixes travel between processes
+
+
+def test_what_is_missing_for_a_start_is_said() -> None:
+    none = [packet for packet in flight().packets()[:1500] if packet.data[7] != 33]
+    fixes, remarks = flown(Engine(settings(), [chart()]), none)
+    assert fixes == []
+    (said,) = [one.text for one in remarks if one.key == "no start"]
+    assert said == "reckoning by velocity waits for a position, or to be told the start, an altitude, a velocity"
+
+
+def test_a_clock_that_stands_still_is_said() -> None:
+    frozen = [packet for packet in flight().packets() if packet.data[7] == 33][:1]
+    still = [
+        replace(frozen[0], stamp_us=frozen[0].stamp_us + i * 100_000, data=_numbered(frozen[0].data, i))
+        for i in range(60)
+    ]
+    _, remarks = flown(Engine(settings(), [chart()]), still)
+    assert "clock stands still" in [one.key for one in remarks]
+
+
+def _numbered(frame: bytes, sequence: int) -> bytes:
+    from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+    link = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    link.seq = sequence
+    return bytes(link.decode(bytearray(frame)).pack(link))
