@@ -180,7 +180,7 @@ def run_case(case: GroundCase | HelicopterCase, seeds: SeedSequence) -> dict[str
     for attack in ATTACKS:
         figures |= _attacked(attack, flight, monitor, (states[first - 1], first), towards)
     alone = replace(monitor, horizons_s=())
-    before = int(np.searchsorted(rec.time_s, rec.time_s[first] - BEGUN_S))
+    before = min(int(np.searchsorted(rec.time_s, rec.time_s[first] - BEGUN_S)), first - 1)
     state = list(flight.watched(alone, alone.init(), before, lat[before:first], lon[before:first]))[-1]
     figures |= _attacked(MAP_ALONE, flight, alone, (state, first), towards)
     return figures | _attacked(FROM_START, flight, monitor, (monitor.init(), 0), towards)
