@@ -43,6 +43,7 @@ from terranav.core.errors import DataError, DataWarning, StateError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.recording import Recording
 from terranav.core.records import Epoch, Prior
+from terranav.filters._cloud import prior_covariance
 from terranav.filters._maps import one_map_a_kind
 from terranav.filters.marginalized import Marginalized
 from terranav.ins.error_state import ErrorModel, check_bias_sigma
@@ -53,7 +54,7 @@ FloatArray = NDArray[np.float64]
 
 WINDOW_CELLS = 4_000_000  # of a map, whose values are looked at together
 
-_NO_BIAS: Mapping[str, float] = MappingProxyType({})  # every kind takes its own `Kind.bias_sigma`
+NO_BIAS: Mapping[str, float] = MappingProxyType({})  # every kind takes its own `Kind.bias_sigma`
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def bound(
     ins: InsGrade | None = None,
     *,
     prior: Prior | None = None,
-    bias_sigma: Mapping[str, float] = _NO_BIAS,
+    bias_sigma: Mapping[str, float] = NO_BIAS,
     outlier_share: float = Marginalized.outlier_share,
     outlier_scale: float = Marginalized.outlier_scale,
     blur_cells: float = Marginalized.blur_cells,
@@ -134,20 +135,46 @@ def bound(
     ConfigError
         Two maps of a kind, or a setting out of its range.
     """
+    check_noise("bound", bias_sigma, outlier_share, outlier_scale, blur_cells)
+    asked = asked_of("bound", rec, maps, ins)
+    epochs = asked.epochs
+    model = ErrorModel(asked.ins, asked.charts, ErrorModel.level_for(asked.ins, epochs[0]), bias_sigma)
+    readings = _readings(model, epochs, asked.track, blur_cells, (float(outlier_share), float(outlier_scale)))
+    cov = model.initial_covariance(prior_covariance(prior or Prior.from_ins(asked.ins)))
+    return _recursion(model, epochs, cov, readings)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A flight: maps, latitude and longitude (n,) of the true track [deg], the INS, epochs with ready measurements."""
+
+    charts: tuple[Map, ...]
+    track: tuple[FloatArray, FloatArray]
+    ins: InsGrade
+    epochs: tuple[Epoch, ...]
+
+
+def asked_of(name: str, rec: Recording, maps: Sequence[Map] | Map, ins: InsGrade | None) -> Asked:
+    """What `name` is asked of a recording; the errors are those of `bound`."""
     charts = as_maps(maps)
-    _check_maps(rec, charts)
-    finite("bound outlier_share", outlier_share, minimum=0.0, maximum=0.5)
-    finite("bound outlier_scale", outlier_scale, above=0.0)
-    finite("bound blur_cells", blur_cells, minimum=0.0)
-    check_bias_sigma("bound", bias_sigma)
-    lat_deg, lon_deg = _true_track(rec)
-    grade = _grade(rec, ins)
+    if not charts:
+        raise DataError(f"{rec.name}: no map is given, expected at least one")
+    one_map_a_kind(name, charts)
+    track = _true_track(name, rec)
+    grade = _grade(name, rec, ins)
     epochs = tuple(ready(rec.epochs()))
     _check_kinds(rec, charts, epochs)
-    model = ErrorModel(grade, charts, ErrorModel.level_for(grade, epochs[0]), bias_sigma)
-    readings = _readings(model, epochs, (lat_deg, lon_deg), blur_cells, (float(outlier_share), float(outlier_scale)))
-    cov = model.initial_covariance(_prior_cov_m2(prior or Prior.from_ins(grade)))
-    return _recursion(model, epochs, cov, readings)
+    return Asked(charts, track, grade, epochs)
+
+
+def check_noise(
+    name: str, bias_sigma: Mapping[str, float], outlier_share: float, outlier_scale: float, blur_cells: float
+) -> None:
+    """Raise ConfigError for a setting out of its range."""
+    finite(f"{name} outlier_share", outlier_share, minimum=0.0, maximum=0.5)
+    finite(f"{name} outlier_scale", outlier_scale, above=0.0)
+    finite(f"{name} blur_cells", blur_cells, minimum=0.0)
+    check_bias_sigma(name, bias_sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +240,23 @@ def mixture_information(share: float, reach: float) -> float:
     return float(2.0 * step * whole.sum())
 
 
+def normal_variance(sigma: float, map_sigma: float, blurred2: float, outliers: tuple[float, float]) -> float:
+    """Variance that a normal reading of the same information has.
+
+    Parameters
+    ----------
+    sigma, map_sigma : float
+        Of reading and map [unit].
+    blurred2 : float
+        Variance by the place within a cell [unit^2].
+    outliers : share of them, and their scale
+    """
+    share, scale = outliers
+    white = sigma**2 + blurred2
+    reach = scale * math.hypot(sigma, map_sigma) / math.sqrt(white)
+    return white / mixture_information(share, float(f"{reach:.3g}"))
+
+
 def _readings(
     model: ErrorModel,
     epochs: Sequence[Epoch],
@@ -233,10 +277,9 @@ def _readings(
                     sensitivity = np.zeros(model.size)
                     sensitivity[:2] = -slopes[k]  # the error is indicated minus true
                     sensitivity[bias : bias + 2] = 1.0
-                    white = reading.sigma**2 + blur2 * float(slopes[k] @ slopes[k])
-                    reach = scale * math.hypot(reading.sigma, chart.sigma) / math.sqrt(white)
-                    information = mixture_information(share, float(f"{reach:.3g}")) / white
-                    found[k].append(_Reading(sensitivity, 1.0 / information))
+                    blurred2 = blur2 * float(slopes[k] @ slopes[k])
+                    variance = normal_variance(reading.sigma, chart.sigma, blurred2, (share, scale))
+                    found[k].append(_Reading(sensitivity, variance))
     return found
 
 
@@ -297,43 +340,31 @@ def _window_slope(chart: Map, lat_deg: FloatArray, lon_deg: FloatArray) -> Float
     return slopes
 
 
-def _true_track(rec: Recording) -> tuple[FloatArray, FloatArray]:
+def _true_track(name: str, rec: Recording) -> tuple[FloatArray, FloatArray]:
     """True latitude and longitude at every epoch [deg]; StateError without truth."""
     if not rec.has_truth:
-        raise StateError(f"{rec.name}: the bound needs the true track, the columns true_lat_deg and true_lon_deg")
+        raise StateError(f"{rec.name}: the {name} needs the true track, the columns true_lat_deg and true_lon_deg")
     error = rec.ins_error_m()
     known = np.isfinite(error).all(axis=1)
     if not known.any():
-        raise StateError(f"{rec.name}: the bound needs the true track, but no epoch has both of its columns")
+        raise StateError(f"{rec.name}: the {name} needs the true track, but no epoch has both of its columns")
     filled = np.stack([np.interp(rec.time_s, rec.time_s[known], error[known, axis]) for axis in (0, 1)])
     return shift(rec.lat_deg, rec.lon_deg, -filled[0], -filled[1])
 
 
-def _grade(rec: Recording, ins: InsGrade | None) -> InsGrade:
+def _grade(name: str, rec: Recording, ins: InsGrade | None) -> InsGrade:
     """What is known of the INS."""
     grade = ins if ins is not None else rec.ins
     if grade is None:
         grade = InsGrade()
         warnings.warn(
-            f"{rec.name}: nothing is said about the INS; the bound assumes "
+            f"{rec.name}: nothing is said about the INS; the {name} assumes "
             f"position_sigma_m = {grade.position_sigma_m:g}, velocity_sigma_mps = {grade.velocity_sigma_mps:g}, "
             f"position_walk_m_per_sqrt_s = {grade.position_walk_m_per_sqrt_s:g}",
             DataWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     return grade
-
-
-def _prior_cov_m2(prior: Prior) -> FloatArray:
-    """Covariance of a prior; the rectangle of +-3 sigma has 3 sigma^2 per axis."""
-    return np.diag(3.0 * np.diag(prior.cov_m2)) if prior.shape == "uniform" else prior.cov_m2
-
-
-def _check_maps(rec: Recording, charts: tuple[Map, ...]) -> None:
-    """Raise unless there are maps, and no two of a kind."""
-    if not charts:
-        raise DataError(f"{rec.name}: no map is given, expected at least one")
-    one_map_a_kind("bound", charts)
 
 
 def _check_kinds(rec: Recording, charts: tuple[Map, ...], epochs: Sequence[Epoch]) -> None:
