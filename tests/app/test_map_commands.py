@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import threading
+import zipfile
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -428,3 +429,64 @@ def test_bad_input_is_one_line(
     given = [str(tif) if part == "TIF" else part for part in arguments]
     assert message in refused(capsys, "map", *given)
     assert {file.name for file in tif.parent.iterdir()} <= {tif.name, "c"}
+
+
+# -- datums -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def geoid(tmp_path: Path) -> Path:
+    """A geoid 48 m above the ellipsoid in a file whose name does not say which it is."""
+    heights = np.full((30, 30), 48.0) + 0.1 * np.arange(30.0)
+    write_map(Map(heights, (0.1, 0.0, 9.0, 0.0, -0.1, 47.5)), tmp_path / "undulations.tif")
+    return tmp_path / "undulations.tif"
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".nc"])
+def test_convert_brings_heights_to_another_datum(
+    tif: Path, geoid: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    out = tif.with_name(f"high{suffix}")
+    asked = ("--map-datum", "EGM96", "--datum", "ellipsoid", "--geoid", f"EGM96={geoid}")
+    facts = answered(capsys, "map", "convert", tif, out, *asked, "--json")
+    assert facts["datum"] == "ellipsoid"
+    high = tn.open_map(out)
+    assert high.datum == "ellipsoid"
+    lat, lon = 45.8, 10.3
+    rise = 48.0 + 0.1 * ((lon - 9.0) / 0.1 - 0.5)
+    assert float(high.sample(lat, lon)) == pytest.approx(float(CHART.sample(lat, lon)) + rise, abs=1e-3)
+    assert answered(capsys, "map", "info", tif, "--map-datum", "EPSG:3855", "--json")["datum"] == "EGM2008"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--datum", "ellipsoid"), "the map's vertical datum is unknown"),
+        (("--map-datum", "EGM97"), "map datum is 'EGM97' (did you mean 'EGM96'?)"),
+        (("--map-datum", "EGM96", "--datum", "EGM97"), "datum is 'EGM97'"),
+        (("--map-datum", "EGM96", "--datum", "unknown"), "expected the vertical datum that the map shall have"),
+        (("--map-datum", "EGM96", "--datum", "MLLW"), "differ by the tide"),
+        (("--datum", "ellipsoid", "--geoid", "none.gtx"), "none.gtx: no such file, expected a geoid grid"),
+        (("--datum", "ellipsoid", "--geoid", "GEOID"), "expected datum= (--geoid EGM2008=FILE)"),
+        (("--datum", "ellipsoid", "--geoid", "EGM97=GEOID"), "datum is 'EGM97'"),
+        (("--map-datum", "EGM96", "--datum", "ellipsoid", "--geoid", "EGM96=TIF"), "but geoid heights stay within 120"),
+        (("--kind", "gravity", "--unit", "mGal", "--datum", "ellipsoid"), "a gravity map has no vertical datum"),
+    ],
+)
+def test_datums_that_do_not_go_together_are_one_line(
+    arguments: tuple[str, ...], message: str, tif: Path, geoid: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [part.replace("TIF", str(tif)).replace("GEOID", str(geoid)) for part in arguments]
+    assert message in refused(capsys, "map", "convert", tif, tif.with_name("x.tif"), *given)
+    assert not tif.with_name("x.tif").exists()
+
+
+def test_a_zipped_tile_is_a_map(tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = shared_data / "srtm" / "N47E009.hgt"
+    with zipfile.ZipFile(tmp_path / "N47E009.hgt.zip", "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.write(whole, whole.name)
+    for path in (tmp_path, tmp_path / "N47E009.hgt.zip"):
+        facts, own = (answered(capsys, "map", "info", each, "--json") for each in (path, whole))
+        assert {key: facts[key] for key in ("rows", "voids", "mean", "datum")} == {
+            key: own[key] for key in ("rows", "voids", "mean", "datum")
+        }

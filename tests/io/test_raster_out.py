@@ -149,3 +149,13 @@ def test_refusals(tmp_path: Path) -> None:
     assert (tmp_path / "map.tif").read_text() == "mine"
     write_map(chart, tmp_path / "map.tif", force=True)
     assert tn.open_map(tmp_path / "map.tif").shape == chart.shape
+
+
+def test_hgt_is_egm96_by_definition(tmp_path: Path) -> None:
+    cell = 1 / 1200
+    place = (cell, 0.0, 9.0 - cell / 2, 0.0, -cell, 48.0 + cell / 2)
+    chart = Map(np.indices((1201, 1201))[0], place, datum="EGM2008")
+    with pytest.raises(DataError, match=r"count from EGM2008, but \.hgt holds EGM96"):
+        write_map(chart, tmp_path / "N47E009.hgt")
+    write_map(replace(chart, datum="EGM96"), tmp_path / "N47E009.hgt")
+    assert tn.open_map(tmp_path / "N47E009.hgt").datum == "EGM96"

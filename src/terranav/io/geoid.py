@@ -69,7 +69,7 @@ def open_geoid(path: str | Path, *, datum: str | None = None, variable: str | in
     name = stated_datum(datum, f"{file}: datum") if datum is not None else _model((*words, file.name))
     if name is None:
         raise DataError(
-            f"{file}: neither the file nor its name says which geoid it is, expected datum= (e.g. 'EGM2008')"
+            f"{file}: neither the file nor its name says which geoid it is, expected datum= (--geoid EGM2008=FILE)"
         )
     if grid.crs is not None and not projection(grid.crs).geographic:
         raise DataError(f"{file}: its CRS is {grid.crs[:60]!r}, expected a geoid grid in latitude and longitude")

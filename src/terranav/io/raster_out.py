@@ -180,6 +180,8 @@ def _raster(
     try:
         with rasterio.open(aside, "w", **profile) as raster:
             yield raster
+    except DataError:  # is a ValueError, too, and says what it is
+        raise
     except (RasterioError, ValueError) as problem:
         raise DataError(f"{file}: cannot be written ({' '.join(str(problem).split())[:200]})") from None
 
@@ -244,6 +246,10 @@ def _hgt(part: Part, aside: Path, file: Path) -> None:
     rows, cols = part.shape
     if rows != cols or rows not in (1201, 3601):
         raise DataError(f"{file}: map of {rows} x {cols} cells, expected 1201 x 1201 or 3601 x 3601 for .hgt")
+    if part.datum not in (None, "EGM96", "EGM96 height"):
+        raise DataError(
+            f"{file}: the heights count from {part.datum}, but .hgt holds EGM96 by definition; expected .tif"
+        )
     chart = part.whole()
     known = ~np.isnan(chart.values)
     values = chart.values[known]

@@ -116,6 +116,10 @@ class Part:
 
     def info(self) -> dict[str, Any]:
         """As `Map.info`; of a large part, figures of pieces spread over it."""
+        with _little_cache():
+            return self._info()
+
+    def _info(self) -> dict[str, Any]:
         if self.shift is None and self.window == tuple((0, size) for size in self.chart.shape):
             return self.chart.info()
         if not self.is_large:

@@ -45,6 +45,11 @@ def compare(
     if scenario is not None and recording is None:
         from terranav.experiment.scenario import Scenario
 
+        unused: dict[str, object] = {"--map": maps, "--geoid": geoid, "--ins": ins, "--drift": drift, "--first": first}
+        unused |= {f"--map-{key}": values for key, values in map_options.items()}
+        for option, value in unused.items():
+            if value:
+                raise ConfigError(f"{option} goes with --recording, but {scenario} says it itself; expected it there")
         flight = Scenario.from_toml(scenario)
         wanted = Wanted(folder_for(out), as_json, since, context.obj)
         return conclude(fly_scenario(flight, estimator or [], seed, wanted), wanted)
