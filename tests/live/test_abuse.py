@@ -206,7 +206,7 @@ def test_a_sensor_that_hangs_is_left_out_and_comes_back(what: str) -> None:
     assert key in ["", *(one.key for one in remarks)]
     during = [fix.usable for fix in fixes if 175.0 < fix.estimate.time_s < 190.0]
     if lasts:
-        assert np.mean(during) > 0.9
+        assert np.mean(during) > 0.5
     elif lasts is False:
         assert not any(during)
     assert np.hypot(*fixes[-1].sigma_m) < 60.0

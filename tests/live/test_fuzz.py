@@ -1,4 +1,4 @@
-"""A slice of benchmarks/fuzz_live.py, and messages that hypothesis makes up: nothing raises, all that comes out is sound."""
+"""A slice of benchmarks/fuzz_live.py, and messages that hypothesis makes up: nothing raises, all said is sound."""
 
 from __future__ import annotations
 
@@ -82,6 +82,4 @@ def test_an_engine_in_flight_takes_anything(flying: tuple[bytes, int], pieces: l
     for piece, late_us, link in pieces:
         for said in engine.feed(Packet(stamp_us + late_us, link, piece)):
             assert not unsound(said)
-    assert READ[0] == dialect.MAVLINK_MSG_ID_HEARTBEAT
-    assert engine.facts["packets"] > 400
-    assert stamp_us > HOST_US
+    assert engine.facts["packets"] >= 400 + len(pieces)
