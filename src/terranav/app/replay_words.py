@@ -159,13 +159,14 @@ def digest(flights: Sequence[Flight]) -> str:
 
 def log_pairs(log: Log) -> list[tuple[str, str]]:
     """What the log holds and what is missing, as names and texts."""
-    facts = log.facts
-    rec = log.recording
+    from terranav.io.logs.facts import WORDS
+
+    facts, rec = log.facts, log.recording
     step = float(np.median(np.diff(rec.time_s))) if len(rec) > 1 else math.nan
     rate = f" at {1.0 / step:.3g} Hz" if step > 0 else ""
     pairs = [("log", f"{facts['file']}: {facts['format']}, {duration(facts['duration_s'])}, {len(rec)} epochs{rate}")]
     holds = [
-        f"{role} {part['rate_hz']:.3g} Hz" if part["rate_hz"] else role
+        f"{WORDS[role]} {part['rate_hz']:.3g} Hz" if part["rate_hz"] else WORDS[role]
         for role, part in facts.get("series", {}).items()
     ] or [f"{key} at {percent(share)} of the epochs" for key, share in facts["readings"].items()]
     truth = facts["truth"]["known"]

@@ -23,7 +23,8 @@ _UNITS = {
     "airspeed": "m/s",
     "imu": "rad/s, m/s^2",
 }
-_WORDS = {
+#: what people call each role
+WORDS = {
     "gnss": "GNSS",
     "own": "own position",
     "velocity": "velocity",
@@ -242,7 +243,7 @@ def remarks_of(facts: Mapping[str, Any]) -> Iterator[str]:
         )
     for role, part in facts["series"].items():
         if part["gaps"]:
-            yield f"{_WORDS[role]} ({part['from']}): gaps: {part['gaps']}, the longest {part['longest_gap_s']:g} s"
+            yield f"{WORDS[role]} ({part['from']}): gaps: {part['gaps']}, the longest {part['longest_gap_s']:g} s"
     height = facts["series"][facts["epochs_from"]].get("height", "")
     if height == NO_HEIGHT:
         yield "no altitude is logged: alt_m is 0"
@@ -255,7 +256,7 @@ def _altimeter_told(role: str, facts: Mapping[str, Any]) -> str:
     """How much of the run an altimeter covers, in words."""
     limits = facts.get("limits_m")
     told = f"measures {limits[0]:g} to {limits[1]:g} m" if limits else "limits not logged"
-    text = f"{_WORDS[role]} ({told}): a reading at {facts['covers']:.1%} of the epochs"
+    text = f"{WORDS[role]} ({told}): a reading at {facts['covers']:.1%} of the epochs"
     text += f", {facts['in_range']:.1%} of its rows in range"
     if limits and facts["higher_than_limit_above_start"] > 0:
         text += (
