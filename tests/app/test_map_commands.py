@@ -490,3 +490,14 @@ def test_a_zipped_tile_is_a_map(tmp_path: Path, shared_data: Path, capsys: pytes
         assert {key: facts[key] for key in ("rows", "voids", "mean", "datum")} == {
             key: own[key] for key in ("rows", "voids", "mean", "datum")
         }
+
+
+def test_the_word_sample_is_the_embedded_map(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert answered(capsys, "map", "info", "sample", "--json")["checksum"] == tn.sample_map().checksum
+    answered(capsys, "map", "convert", "sample", "part.tif", "--box", "36.5,-84.4,36.6,-84.3", "--json")
+    np.testing.assert_array_equal(tn.open_map("part.tif").values, tn.sample_map().crop(36.5, -84.4, 36.6, -84.3).values)
+    for given in (("--sigma", "2"), ("--map-datum", "EGM96"), ("--positive-down",), ("--kind", "bathymetry")):
+        assert f"{given[0]} is given for the embedded map" in refused(capsys, "map", "info", "sample", *given)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from terranav.app.given import SAMPLE
 from terranav.app.listing import map_pairs
 from terranav.app.words import coordinate, percent
 from terranav.core.checks import finite
@@ -38,6 +39,31 @@ def required_box(text: str) -> Box:
     if west == east:
         raise ConfigError(f"--box is {text!r} and has no area, expected S,W,N,E with west and east apart")
     return south, west, north, east
+
+
+def opened(file: Path, box: str | None = None, **options: Any) -> Part:
+    """A map, or what lies in a box of it; 'sample' is the embedded one.
+
+    Parameters
+    ----------
+    file : Path
+    box : str, optional
+        As typed.
+    **options
+        Of `terranav.io.rasters.open_map`.
+    """
+    from terranav.io.thinning import open_part, part_of
+
+    where = parsed_box(box)
+    if file != SAMPLE or file.exists():
+        return open_part(file, where, **options)
+    from terranav.maps.sample_dem import sample_map
+
+    told = [key for key, value in options.items() if value not in (None, False, "terrain")]
+    if told:
+        option = "map-datum" if told[0] == "datum" else told[0].replace("_", "-")
+        raise ConfigError(f"--{option} is given for the embedded map 'sample', expected a map in a file")
+    return part_of(sample_map() if where is None else sample_map().crop(*where))
 
 
 def geoids_from(texts: Sequence[str]) -> list[Geoid]:

@@ -12,7 +12,10 @@ from terranav.app.commands import options
 app = typer.Typer(help="Look at maps, convert them, fetch their tiles.", no_args_is_help=False)
 
 File = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid; a folder or 'pattern*' of tiles.")
+    Path,
+    typer.Argument(
+        metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid; a folder or 'pattern*' of tiles; or sample."
+    ),
 ]
 Kind = Annotated[str, typer.Option(metavar="KIND", help="terrain, bathymetry, gravity or magnetic.")]
 Sigma = Annotated[float | None, typer.Option(metavar="S", help="1-sigma error, in the kind's unit.")]
@@ -50,10 +53,9 @@ def info(
 ) -> int:
     """Say what a map covers, how fine and how rough it is, and what looks suspicious."""
     from terranav.app.console import OK, show_json, show_pairs
-    from terranav.app.mapping import map_words
-    from terranav.io.rasters import open_map
+    from terranav.app.mapping import map_words, opened
 
-    facts = open_map(
+    facts = opened(
         file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit, positive_down=positive_down,
         datum=map_datum,
     ).info()  # fmt: skip
@@ -83,13 +85,12 @@ def view(
 ) -> int:
     """Draw a map: heights in colour, lit from the north-west."""
     from terranav.app.console import OK, show_json, show_pairs, working
-    from terranav.app.mapping import checked_picture, drawn, map_words, parsed_box
-    from terranav.io.thinning import open_part
+    from terranav.app.mapping import checked_picture, drawn, map_words, opened
 
     picture = checked_picture(file, out)
     with working(f"drawing {file.name}"):
-        part = open_part(
-            file, parsed_box(box), kind=kind, crs=crs, variable=variable, unit=unit, positive_down=positive_down,
+        part = opened(
+            file, box, kind=kind, crs=crs, variable=variable, unit=unit, positive_down=positive_down,
             datum=map_datum,
         )  # fmt: skip
         written, note = drawn(part, picture, page=page)
@@ -128,15 +129,15 @@ def convert(
     Only --datum makes other values of them. A large map goes to GeoTIFF piece by piece.
     """
     from terranav.app.console import OK, show_json, show_pairs, working
-    from terranav.app.mapping import geoids_from, map_words, parsed_box
+    from terranav.app.mapping import geoids_from, map_words, opened
     from terranav.io.raster_out import check_target, write_map
-    from terranav.io.thinning import converted, open_part
+    from terranav.io.thinning import converted
 
     check_target(out, force=force)
     grids = geoids_from(geoid or ())
     with working(f"converting {source.name}"):
-        part = open_part(
-            source, parsed_box(box), kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit,
+        part = opened(
+            source, box, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit,
             positive_down=positive_down, datum=map_datum,
         )  # fmt: skip
         if datum is not None:
