@@ -4,7 +4,8 @@
   between the measurement and it (MAVLink common.xml); eph is one horizontal sigma.
 - ardupilot: ODOMETRY (331). ArduPilot takes it only in the frames LOCAL_FRD and BODY_FRD; x, y, z count from the EKF's
   origin, north, east, down; the velocity is along the body. The covariances are upper triangles by rows, so that the
-  diagonal has the places 0, 6, 11, 15, 18, 20. A reset counter that has changed makes its EKF take the new position.
+  diagonal has the places 0, 6, 11, 15, 18, 20. The reset counter never changes: with VISO_TYPE 3 ArduPilot would shift
+  all that comes after a reset to where it was before, and so keep the error that the fix is to take away.
 - gps-input: GPS_INPUT (232) without velocity, which would be the autopilot's own come back, or GPS time.
 - reset: COMMAND_INT with MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003): sender's time, processing time [s], 1 sigma [m].
 
@@ -26,8 +27,9 @@ EXTERNAL_POSITION_ESTIMATE, REQUEST_MESSAGE, GLOBAL_ORIGIN = 43003, 512, 49
 #: the sender's clock of a reset starts again so often: 32-bit floats still tell a quarter of a millisecond there [s]
 _WRAP_S = 3600.0
 _ONBOARD_CONTROLLER, _NO_AUTOPILOT, _ACTIVE = 18, 8, 4
-_LOCAL_FRD, _BODY_FRD, _GLOBAL = 20, 12, 0
-_SOURCE_TERRAIN = 4
+_LOCAL_FRD, _BODY_FRD, _GLOBAL, _NO_RESETS = 20, 12, 0, 0
+#: of GLOBAL_POSITION_SENSOR: PX4's EKF2_AGPx_ID names it, and 0 there is nobody
+_SENSOR, _SOURCE_TERRAIN = 1, 4
 #: of this source among the auxiliary ones of PX4, its parameter EKF2_AGP0_ID; 0 would mean none
 SENSOR_ID = 1
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
@@ -106,7 +108,7 @@ class Encoder:
             make(0, 0, SENSOR_ID, *times, _SOURCE_TERRAIN, 0, *place, *heights, offer.horizontal_m, _ALT_SIGMA_M)
         )
 
-    def odometry(self, offer: Offer, origin: Origin, resets: int) -> bytes:
+    def odometry(self, offer: Offer, origin: Origin) -> bytes:
         """ODOMETRY, for ArduPilot; the offer has an attitude.
 
         Parameters
@@ -114,8 +116,6 @@ class Encoder:
         offer : Offer
         origin : (lat, lon [deg], altitude above the sea [m])
             Of the EKF.
-        resets : int
-            How often the position has jumped.
         """
         north, east = offset_of(origin[0], origin[1], offer.lat_deg, offer.lon_deg)
         turn = quaternion(*(offer.attitude_deg or (0.0, 0.0, 0.0)))
@@ -129,7 +129,7 @@ class Encoder:
         time_us = offer.stamp_us if offer.boot_us is None else offer.boot_us
         make = self._messages.MAVLink_odometry_message
         place = (north, east, origin[2] - offer.alt_m)
-        rates, after = (0.0, 0.0, 0.0), (resets % 256, 0, quality)
+        rates, after = (0.0, 0.0, 0.0), (_NO_RESETS, 0, quality)
         body = (list(turn), *along, *rates, pose, moving)
         return self._packed(make(time_us, _LOCAL_FRD, _BODY_FRD, *place, *body, *after))
 

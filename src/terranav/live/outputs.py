@@ -27,8 +27,6 @@ RATES_HZ = {"px4": 1.0, "ardupilot": 5.0, "gps-input": 5.0, "reset": 0.1}
 RESET_MAX_AGE_S = 5.0
 _BEAT_US = 1_000_000
 _ASK_US = 5_000_000
-#: after so long without a fix the next one is a jump for the receiver [us]
-_JUMP_US = 10_000_000
 
 #: is told which output sent what, and when
 Sent = Callable[[str, int, bytes], None]
@@ -103,8 +101,6 @@ class MavlinkOutput:
         self._pace: Pace | None = None
         self._beat_us = self._ask_us = -_ASK_US
         self._newest: Offer | None = None
-        self._fixed_us = 0
-        self.resets = 0
 
     @property
     def what(self) -> str | None:
@@ -122,9 +118,7 @@ class MavlinkOutput:
         if isinstance(made, str):
             self.held[made] += 1
             return False
-        if self._fixed_us and made.stamp_us - self._fixed_us > _JUMP_US:
-            self.resets += 1
-        self._fixed_us, self._newest = made.stamp_us, made
+        self._newest = made
         return self._paced(what, made, now_us)
 
     def _paced(self, what: str, made: Offer, now_us: int) -> bool:
@@ -163,7 +157,7 @@ class MavlinkOutput:
         if what == "reset":
             return self._encoder.reset(made, target)
         assert self._autopilot.origin is not None
-        return self._encoder.odometry(made, self._autopilot.origin, self.resets)
+        return self._encoder.odometry(made, self._autopilot.origin)
 
     def _write(self, frame: bytes, now_us: int) -> bool:
         wire = self._wire()
