@@ -228,7 +228,8 @@ def flights() -> Iterator[str]:
             error = math.hypot(*offset_of(lat, lon, best.lat_deg, best.lon_deg))
             yield (
                 f"  {file.stem} from {start_s:g} s, {minutes} min: {found.verdict}; {track.height.size} readings, "
-                f"spread {track.height.std():.1f} m; likeliest {error:.0f} m off, probability {best.probability:.3f}"
+                f"spread {track.height.std():.1f} m; first {error:.0f} m off, "
+                + (f"probability {best.probability:.3f}" if found.complete else "search stopped")
             )
 
 

@@ -91,7 +91,22 @@ def test_flat_readings_are_no_place(lost: Path, flight: Flight, tmp_path: Path, 
     said = capsys.readouterr().out
     assert status == 1
     assert "not searched to the end" in said
-    assert "any part of the map may fit better" in said
+    assert "search stopped: any part of the map may fit better" in said
+    assert "probability" not in said
+    told = answered(capsys, *flat[1:], "--scale-sigma", "0", "--sigma", "40", "--out", str(tmp_path / "out"), status=1)
+    assert told["complete"] is False
+    assert told["reasons"][0].startswith("search stopped: more than 20000 cells and headings fit")
+    assert told["candidates"]
+    assert {place["probability"] for place in told["candidates"]} == {None}
+    assert told["left_out"]["probability"] is None
+    assert Path(told["files"]["picture"]).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_limit_of_a_search_is_a_choice(lost: Path, flight: Flight, capsys: pytest.CaptureFixture[str]) -> None:
+    told = answered(capsys, str(lost), *flight.map_arguments, "--most-places", "1", status=1)
+    assert told["verdict"] == "not searched to the end"
+    assert told["searched"]["most_places"] == 1
+    assert told["ins_error_m"] is None
 
 
 def test_a_place_off_the_map_is_not_found(
@@ -130,6 +145,7 @@ def test_a_drift_can_be_added(flight: Flight, capsys: pytest.CaptureFixture[str]
         (("--offset-sigma", "0"), "--offset-sigma is '0', expected a number > 0"),
         (("--sigma", "0"), "--sigma"),
         (("--certain", "1"), "certain is 1.0"),
+        (("--most-places", "0"), "most_places is 0"),
         (("--map-kind", "gravity", "--map-unit", "mGal"), "no reading compares with a gravity map"),
         (("--map-kind", "terrian"), "terrian"),
         (("--nonsense",), "nonsense"),

@@ -162,7 +162,9 @@ def test_flat_land_is_ambiguous() -> None:
     found = locate(track, chart, LocateSettings(most_places=2000))
     assert found.ambiguous
     assert not found.complete
-    assert "too little relief" in found.reasons[0]
+    assert found.reasons[0] == "search stopped: more than 2000 cells and headings fit, too little relief to search all"
+    assert not any("probability" in reason for reason in found.reasons)
+    assert all(math.isnan(place.probability) for place in found.candidates)
 
 
 def test_a_slope_along_one_axis_leaves_the_other_open() -> None:

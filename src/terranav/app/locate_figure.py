@@ -28,7 +28,8 @@ _HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=
 
 def locate_picture(search: Search) -> Figure:
     """Candidates over the shaded map, the best one near by, and the profile against the map under each."""
-    places = [one for k, one in enumerate(search.found.candidates[:SHOWN]) if k == 0 or one.probability >= LEAST]
+    every, complete = search.found.candidates, search.found.complete
+    places = [one for k, one in enumerate(every[:SHOWN]) if k == 0 or not complete or one.probability >= LEAST]
     with styled():
         figure = new_figure(8.2, 11.5)
         panels = figure.subplot_mosaic([["whole", "near"], ["heights", "heights"]], height_ratios=[1.5, 1.0])
@@ -36,12 +37,13 @@ def locate_picture(search: Search) -> Figure:
         whole: Frame = (south, west, north, east)
         shade(panels["whole"], search.chart, whole)
         _set(panels["whole"], whole)
-        panels["whole"].set_title(f"{search.found.verdict}: {_chances(places, len(search.found.candidates))}")
+        panels["whole"].set_title(_title(search, places))
         if places:
             near = _around(search, places[0])
             shade(panels["near"], search.chart, near)
             _set(panels["near"], near)
-            panels["near"].set_title(f"the likeliest place; 1-sigma of its end {distance(places[0].sigma_m)}")
+            first = "the likeliest place" if complete else "the first of them, if it is the place"
+            panels["near"].set_title(f"{first}; 1-sigma of its end {distance(places[0].sigma_m)}")
         for k, place in reversed(list(enumerate(places))):
             _track(panels["whole"], search, place, k, small=True)
             _track(panels["near"], search, place, k, small=False)
@@ -57,6 +59,14 @@ def locate_picture(search: Search) -> Figure:
 def _set(axes: Axes, frame: Frame) -> None:
     south, west, north, east = frame
     axes.set(xlim=(west, east), ylim=(south, north))
+
+
+def _title(search: Search, places: list[Place]) -> str:
+    """The verdict; of a search that was stopped no probabilities, which would be of a part alone."""
+    found = search.found
+    if not found.complete:
+        return f"search stopped; {len(places)} of many places that fit"
+    return f"{found.verdict}: {_chances(places, len(found.candidates))}"
 
 
 def _chances(places: list[Place], of: int) -> str:

@@ -35,6 +35,7 @@ class Typed:
     offset_sigma: str = UNKNOWN
     sigma: float | None = None
     certain: float = 0.99
+    most_places: int = LocateSettings.most_places
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def looked_for(rec: Recording, chart: Map, ins: InsGrade | None, typed: Typed) -
     offset = _sigma("--offset-sigma", typed.offset_sigma, math.inf)
     settings = LocateSettings(
         heading_deg=min(SIGMAS * heading, 180.0), scale=SIGMAS * scale / 100.0,
-        offset_sigma=offset, certain=typed.certain,
+        offset_sigma=offset, certain=typed.certain, most_places=typed.most_places,
     )  # fmt: skip
     return Search(part, chart, track, rows[-1], rows[0], heading, scale, settings, locate(track, chart, settings))
 
@@ -152,11 +153,12 @@ def facts(search: Search) -> dict[str, Any]:
         "map": {"name": chart.name, "kind": chart.kind, "unit": chart.unit, "sigma": chart.sigma,
                 "cells": list(chart.shape), "cell_m": chart.cell_m},
         "searched": {"heading_deg": settings.heading_deg, "scale": settings.scale,
-                     "offset_sigma": settings.offset_sigma, "certain": settings.certain},
+                     "offset_sigma": settings.offset_sigma, "certain": settings.certain,
+                     "most_places": settings.most_places},
         "candidates": [_candidate(search, k) for k in range(len(found.candidates))],
         "ins_error_m": _ins_error(search),
         "error_m": _error(search),
-        "left_out": {"margin": found.margin, "probability": found.tail},
+        "left_out": {"margin": found.margin, "probability": found.tail if found.complete else None},
         "work": {"blocks": found.blocks, "lookups": found.lookups, "share_of_exhaustive": found.share,
                  "variance_factor": found.noise},
     }  # fmt: skip
@@ -208,7 +210,7 @@ def show_search(search: Search, files: dict[str, str]) -> None:
     if found.candidates:
         best = found.candidates[0]
         place = f"{coordinate(best.lat_deg, 'N', 'S', 5)}, {coordinate(best.lon_deg, 'E', 'W', 5)}"
-        word = "position" if not found.ambiguous else "likeliest"
+        word = "position" if not found.ambiguous else "likeliest" if found.complete else "first of them"
         pairs.append((word, f"{place} at {rec['to_s']:g} s, 1-sigma {distance(best.sigma_m)}"))
     if told["ins_error_m"] is not None:
         pairs.append(("INS error", "{:.0f} m north, {:.0f} m east".format(*told["ins_error_m"])))
@@ -217,7 +219,7 @@ def show_search(search: Search, files: dict[str, str]) -> None:
     if found.complete and found.candidates:
         pairs.append(("left out", f"places with at most {percent(found.tail, 2)} of the probability together"))
     elif not found.complete:
-        pairs.append(("left out", "the search was stopped: any part of the map may fit better"))
+        pairs.append(("left out", "search stopped: any part of the map may fit better; --most-places raises the limit"))
     pairs.append(("work", f"{found.lookups:.3g} lookups, {found.share:.2g} of exhaustive search"))
     show_pairs([*pairs, *files.items()])
     if found.candidates:
@@ -240,12 +242,13 @@ def _table(search: Search) -> Any:
     from terranav.app.words import coordinate, distance
 
     table, unit, places = Table(box=box.SIMPLE_HEAD, pad_edge=False), search.chart.unit, search.found.candidates
-    for head in ("", "probability", "latitude", "longitude", "1-sigma", "turned", "scale", "offset", "misfit rms"):
+    chance = ("probability",) if search.found.complete else ()
+    for head in ("", *chance, "latitude", "longitude", "1-sigma", "turned", "scale", "offset", "misfit rms"):
         table.add_column(head, justify="right")
     for k, place in enumerate(places[:SHOWN]):
         table.add_row(
             str(k + 1),
-            f"{place.probability:.4f}",
+            *(f"{place.probability:.4f}" for _ in chance),
             coordinate(place.lat_deg, "N", "S", 5),
             coordinate(place.lon_deg, "E", "W", 5),
             distance(place.sigma_m),
@@ -255,5 +258,5 @@ def _table(search: Search) -> Any:
             f"{place.rms:.1f} {unit}",
         )
     if len(places) > SHOWN:
-        table.caption = f"and {len(places) - SHOWN} less likely"
+        table.caption = f"and {len(places) - SHOWN} {'less likely' if chance else 'more'}"
     return table

@@ -108,7 +108,8 @@ class Place:
     cov_m2 : (2, 2) float64
         Covariance of the last point, north and east [m^2].
     probability : float
-        Among all that was kept; see `Located.complete` and `tail` for what may lie outside it.
+        Among all that was kept; see `Located.tail` for what may lie outside it. NaN where the search was stopped: among
+        a part of what fits it means nothing.
     """
 
     lat_deg: float
@@ -287,7 +288,8 @@ def _judged(
     mass = np.array([math.exp(-0.5 * (fit.misfit - fits[0].misfit)) * fit.volume for fit in fits])
     rest = float(np.exp(-0.5 * (left[:, 4] - fits[0].misfit)).sum()) * work.leaf if fits else 0.0
     share = mass / (mass.sum() + rest) if len(fits) else mass
-    places = tuple(_place(work, fits[k], float(share[k])) for k in np.argsort(-share, kind="stable"))
+    ranked = np.argsort(-share, kind="stable")
+    places = tuple(_place(work, fits[k], float(share[k]) if complete else math.nan) for k in ranked)
     tail = (
         work.values.size * work.whole * math.exp(-0.5 * margin) / max(float(mass.sum()), 1e-300)
         if fits and complete
@@ -307,12 +309,14 @@ def _doubts(
     noise, complete, left = found
     reasons = []
     if not complete:
-        reasons.append(f"more than {settings.most_places} cells and headings fit: too little relief to search all")
+        reasons.append(
+            f"search stopped: more than {settings.most_places} cells and headings fit, too little relief to search all"
+        )
     if left:
         reasons.append(f"{left} cells and headings fit that were not looked at closer")
     if not places:
         reasons.append("no place on the map fits")
-    elif places[0].probability < settings.certain:
+    elif complete and places[0].probability < settings.certain:
         reasons.append(f"the best place has a probability of {places[0].probability:.3f} among {len(places)} places")
     if places and places[0].sigma_m > MOST_SIGMA_CELLS * work.chart.cell_m:
         reasons.append(f"the best place is known to {places[0].sigma_m:.0f} m (1-sigma) along one axis alone")

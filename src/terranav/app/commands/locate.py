@@ -33,6 +33,9 @@ def locate(
         float | None, typer.Option(metavar="S", help="1-sigma of a reading, instead of what the recording says.")
     ] = None,
     certain: Annotated[float, typer.Option(metavar="P", help="Probability that counts as found.")] = 0.99,
+    most_places: Annotated[
+        int, typer.Option(metavar="N", help="The search stops where more cells and headings fit; more takes longer.")
+    ] = 20_000,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the picture and the JSON.")] = None,
     as_json: options.Json = False,
     ins: options.Ins = "",
@@ -61,7 +64,7 @@ def locate(
     folder = folder_for(out)
     rec, _, told = Given(path, (), {}, ins, drift, drift_seed, first).read()
     chart = one_map(open_maps(maps or (), map_options))
-    typed = Typed(span, heading_sigma, scale_sigma, offset_sigma, sigma, certain)
+    typed = Typed(span, heading_sigma, scale_sigma, offset_sigma, sigma, certain, most_places)
     with working("looking everywhere"):
         search = looked_for(rec, chart, told, typed)
     files: dict[str, str] = {}
