@@ -179,6 +179,7 @@ def test_the_end_of_the_map_is_told_ahead() -> None:
     crossed_s = float(true["time_s"][np.argmax(true["lon_deg"] > edge.bounds_deg[3])])
     warned_s = (ends[0].stamp_us - HOST_US) * 1e-6
     assert 3.0 < crossed_s - warned_s < 25.0
+    assert "off map" in [one.key for one in remarks]
     none = Engine(settings(warn_ahead_s=0.0), [edge])
     assert not any(one.key == "map ends ahead" for one in flown(none, flight().packets()[:3000])[1])
 
@@ -193,6 +194,7 @@ def test_facts_are_plain_json_and_count() -> None:
     assert facts["fixes"] == len(fixes)
     assert facts["usable"] == sum(fix.usable for fix in fixes)
     assert facts["lost"] == pytest.approx(len(packets) / 9, abs=2)
+    assert facts["rejected"] == {"impossible value": 0}
     assert facts["autopilot"] == "ArduPilot"
     assert facts["system_id"] == 1
     assert facts["messages"]["ATTITUDE"]["rate_hz"] == pytest.approx(9.0, abs=1.5)
