@@ -11,12 +11,15 @@ from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from terranav.core.errors import ConfigError, DataError
+from terranav.live.ears import Ear
 from terranav.live.links import Address, inputs, outputs
 from terranav.live.mavlink_in import dialect
 from terranav.live.mavlink_out import Encoder
+from terranav.live.records import Packet
 from terranav.live.signing import Checker, clock, read_key
 from terranav.live.wires import wire
 
@@ -134,7 +137,7 @@ def test_an_old_recording_does_not_pass_for_a_new_stream() -> None:
     assert Checker(KEY, lambda: clock() + 5_000_000)(frame)
 
 
-class Ear:
+class Listener:
     """Keeps what a wire hears."""
 
     def __init__(self) -> None:
@@ -157,7 +160,7 @@ async def until(true: Callable[[], Any], limit_s: float = 10.0) -> None:
 
 def test_udp_hears_and_answers_the_last_who_spoke() -> None:
     async def main() -> None:
-        one, ear, other = wire(Address("", "mavlink", "udpin")), Ear(), Ear()
+        one, ear, other = wire(Address("", "mavlink", "udpin")), Listener(), Listener()
         await one.open(ear)
         assert not one.connected
         assert not one.write(b"lost")
@@ -176,11 +179,11 @@ def test_udp_hears_and_answers_the_last_who_spoke() -> None:
 
 def test_tcp_server_keeps_peers_apart_and_the_client_comes_back() -> None:
     async def main() -> None:
-        server, ear = wire(Address("", "mavlink", "tcpin")), Ear()
+        server, ear = wire(Address("", "mavlink", "tcpin")), Listener()
         await server.open(ear)
         port = server.port  # type: ignore[attr-defined]
         clients = [wire(Address("", "mavlink", "tcp", port=port)) for _ in range(2)]
-        ears = [Ear(), Ear()]
+        ears = [Listener(), Listener()]
         for client, one in zip(clients, ears, strict=True):
             await client.open(one)
         await until(lambda: all(client.connected for client in clients))
@@ -210,12 +213,12 @@ def test_a_port_in_use_is_one_line_that_names_it(kind: str, family: socket.Socke
             other.listen()
         port = other.getsockname()[1]
         with pytest.raises(ConfigError, match=f"{kind}:{port}: port {port} of 127.0.0.1 is in use"):
-            asyncio.run(wire(inputs([f"{kind}:{port}"])[0]).open(Ear()))
+            asyncio.run(wire(inputs([f"{kind}:{port}"])[0]).open(Listener()))
 
 
 def test_a_host_that_is_not_ours_is_one_line() -> None:
     with pytest.raises(ConfigError, match="cannot be opened"):
-        asyncio.run(wire(Address("udpin:192.0.2.1:5", "mavlink", "udpin", "192.0.2.1", 5)).open(Ear()))
+        asyncio.run(wire(Address("udpin:192.0.2.1:5", "mavlink", "udpin", "192.0.2.1", 5)).open(Listener()))
 
 
 def test_serial_reads_writes_and_survives_a_hang_up() -> None:
@@ -225,7 +228,7 @@ def test_serial_reads_writes_and_survives_a_hang_up() -> None:
     name = Path(os.ttyname(slave))
 
     async def main() -> None:
-        port, ear = wire(Address("", "mavlink", "serial", path=name)), Ear()
+        port, ear = wire(Address("", "mavlink", "serial", path=name)), Listener()
         await port.open(ear)
         os.write(master, b"\xfd from the vehicle")
         await until(lambda: ear.data == b"\xfd from the vehicle")
@@ -243,4 +246,45 @@ def test_serial_reads_writes_and_survives_a_hang_up() -> None:
 def test_a_serial_port_that_is_not_there() -> None:
     pytest.importorskip("serial")
     with pytest.raises(ConfigError, match="/nowhere/tty cannot be opened"):
-        asyncio.run(wire(inputs(["serial:/nowhere/tty"])[0]).open(Ear()))
+        asyncio.run(wire(inputs(["serial:/nowhere/tty"])[0]).open(Listener()))
+
+
+def ears(data: list[tuple[bytes, Hashable]], check: Checker | None = None) -> list[bytes]:
+    packets: list[Packet] = []
+    ear = Ear(3, packets.append, check)
+    for some, peer in data:
+        ear(some, peer)
+    assert all(packet.link == 3 and packet.stamp_us > 1_600_000_000_000_000 for packet in packets)
+    return [packet.data for packet in packets]
+
+
+GGA = b"$GPGGA,000000.50,4700.00000,N,00900.00000,E,1,08,1.0,400.0,M,,M,,*5B"
+
+
+def test_what_comes_in_tells_what_is_spoken() -> None:
+    beats = [Encoder(system).heartbeat() for system in (1, 2)]
+    assert ears([(b"".join(beats), "a")]) == beats
+    assert ears([(GGA + b"\r\n" + GGA[:20], "a"), (GGA[20:] + b"\r\n", "a")]) == [GGA, GGA]
+    # each peer in its own language, and in pieces of any size
+    pieces: list[tuple[bytes, Hashable]] = [(bytes([byte]), "mavlink") for byte in b"noise" + beats[0]]
+    lines: list[tuple[bytes, Hashable]] = [(bytes([byte]), "nmea") for byte in GGA + b"\n"]
+    mixed = [one for both in zip(lines, pieces, strict=False) for one in both] + lines[len(pieces) :]
+    assert sorted(ears([*mixed, *pieces[len(lines) :]])) == sorted([GGA, beats[0]])
+
+
+def test_text_within_mavlink_is_no_sentence() -> None:
+    beat = Encoder(1).heartbeat()
+    assert ears([(b"$x\n\xfd\x00$\n" + beat + b"$no sentence\n" + beat, "a")]) == [beat, beat]
+
+
+def test_random_bytes_and_many_peers_cost_no_more_memory() -> None:
+    rng = np.random.default_rng(0)
+    packets: list[Packet] = []
+    ear = Ear(0, packets.append)
+    for peer in range(200):
+        ear(rng.bytes(2000), peer)
+    assert len(ear._peers) <= 16
+    assert len(packets) < 5
+    beat = Encoder(1).heartbeat()
+    ear(beat, "new")
+    assert packets[-1].data == beat
