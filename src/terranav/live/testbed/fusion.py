@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 FLOOR_M, GATE_SIGMA, GIVE_IN_S = 0.9, 3.0, 5.0
 #: a fix older than this is not taken [s]
 OLDEST_S = 5.0
-_FORGET_S = 1200.0
+_FORGET_S, _SPEED_FLOOR_MPS = 1200.0, 0.05
 _KEPT = 64  # positions of the INS, one a tick
 
 
@@ -126,19 +126,19 @@ class Fusion:
             return self._track[-1][0] - self._refused_s >= GIVE_IN_S and self._reset(off, sigma)
         self._update(h, lack, s, np.diag(sigma**2))
         if fix.velocity_mps is not None and self._velocity is not None:
-            self._speed(fix)
+            self._speed(self._velocity, fix.velocity_mps, fix.velocity_sigma_mps)
         self._refused_s = math.inf
         self.used += 1
         return True
 
-    def _speed(self, fix: Fix) -> None:
-        """Fuse the velocity of a fix, under the same gate."""
+    def _speed(self, indicated: tuple[float, float], told: tuple[float, float], sigma: float) -> None:
+        """Fuse a velocity under the same gate, if it has an accuracy."""
+        if not all(map(math.isfinite, (*told, sigma))) or sigma <= 0.0:
+            return
         h = np.zeros((2, 7))
         h[0, 2] = h[1, 3] = 1.0
-        assert self._velocity is not None
-        assert fix.velocity_mps is not None
-        lack = np.array(self._velocity) - fix.velocity_mps - h @ self.mean
-        noise = fix.velocity_sigma_mps**2 * np.eye(2)
+        lack = np.subtract(indicated, told) - h @ self.mean
+        noise = max(sigma, _SPEED_FLOOR_MPS) ** 2 * np.eye(2)
         s = h @ self.cov @ h.T + noise
         if (lack**2 <= GATE_SIGMA**2 * np.diag(s)).all():
             self._update(h, lack, s, noise)

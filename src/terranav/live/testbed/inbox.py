@@ -174,8 +174,7 @@ class Inbox:
             )
             unknown = self._d.GPS_INPUT_IGNORE_FLAG_VEL_HORIZ | self._d.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
             speed = None if m.ignore_flags & unknown else (m.vn, m.ve)
-            # its stamp is that of sending, and the measurement older by the time of processing
-            age = self._age_s(m.time_usec) + m.processing_time * 1e-6
+            age = self._age_s(m.time_usec)
             return Fix(age, m.lat / 1e7, m.lon / 1e7, (sigma, sigma), speed, m.speed_accuracy)
         frames = [self._d.MAV_FRAME_LOCAL_FRD]
         if self.autopilot == "px4":
