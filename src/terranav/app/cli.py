@@ -20,6 +20,7 @@ from terranav.app.commands.demo import demo
 from terranav.app.commands.doctor import doctor
 from terranav.app.commands.estimators import estimators
 from terranav.app.commands.fly import fly
+from terranav.app.commands.leg import leg
 from terranav.app.commands.live import live
 from terranav.app.commands.locate import locate
 from terranav.app.commands.monitor import monitor
@@ -46,6 +47,7 @@ for command in (demo, run, compare, simulate, convert, replay, cue, locate, moni
     app.command()(command)
 app.add_typer(maps.app, name="map")
 plan.app.command()(route)
+plan.app.command()(leg)
 app.add_typer(plan.app, name="plan")
 app.command()(reproduce)
 app.command()(estimators)

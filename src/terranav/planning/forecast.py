@@ -36,15 +36,17 @@ from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from terranav.core.checks import finite
-from terranav.core.earth import metres_per_degree, wrap_longitude
-from terranav.core.errors import ConfigError
+from terranav.core.earth import metres_per_degree, offset_of, shift, wrap_longitude
+from terranav.core.errors import ConfigError, DataError
 from terranav.core.ins_grade import InsGrade
 from terranav.core.recording import Recording
 from terranav.core.records import Epoch, Prior
 from terranav.filters._cloud import prior_covariance
 from terranav.filters.marginalized import Marginalized
 from terranav.maps.map import Map
+from terranav.planning._route_sensing import Sensing
 from terranav.planning.bound import NO_BIAS, Asked, Bound, asked_of, check_noise, normal_variance, patch_slope
+from terranav.planning.suitability import LegSettings
 
 FloatArray = NDArray[np.float64]
 
@@ -108,6 +110,47 @@ def forecast(
     wide = Prior(np.zeros(2), 2.0 * start)
     moments = [_flown(navigator, wide, epochs, one) for one in SeedSequence(int(seed)).spawn(repeats)]
     return Forecast(np.array([epoch.time_s for epoch in epochs]), 0.5 * np.mean(moments, axis=0))
+
+
+def leg_recording(
+    chart: Map, start: tuple[float, float], end: tuple[float, float], ins: InsGrade, settings: LegSettings
+) -> Recording:
+    """A straight leg as `forecast` and `bound` take it: true positions, and what a perfect sensor would read.
+
+    Of a fast sensor fewer readings are followed, each better by the root of their number.
+
+    Parameters
+    ----------
+    chart : Map
+    start, end : (latitude, longitude) [deg]
+    ins : InsGrade
+        Its position sigma is that at the start.
+    settings : LegSettings
+        Its sensor, rate and speed.
+
+    Raises
+    ------
+    ConfigError
+        The ends are no reading apart.
+    DataError
+        The leg leaves the map.
+    """
+    away = offset_of(*start, *end)
+    length_m = math.hypot(*away)
+    if length_m < settings.speed_mps / settings.rate_hz:
+        raise ConfigError(f"the leg is {length_m:.0f} m long, expected at least the way between two readings")
+    asked = Sensing(chart, ins, settings.sensor_sigma, settings.rate_hz, settings.speed_mps, None)
+    sensing = asked.thinned(length_m)
+    part = np.minimum(np.arange(math.ceil(length_m / sensing.spacing_m) + 1) * sensing.spacing_m / length_m, 1.0)
+    lat, lon = shift(start[0], start[1], part * away[0], part * away[1])
+    inside = chart.covers(lat, lon)
+    if not inside.all():
+        at = int(np.argmin(inside))
+        raise DataError(
+            f"the leg leaves the map {chart.name} after {part[at] * length_m / 1000.0:.1f} km, at {lat[at]:.4f}, "
+            f"{lon[at]:.4f}; expected all of it on the map"
+        )
+    return sensing.recording(lat, lon)
 
 
 def _flown(navigator: Marginalized, prior: Prior, epochs: Sequence[Epoch], seeds: SeedSequence) -> FloatArray:
