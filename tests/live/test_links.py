@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from terranav.core.errors import ConfigError, DataError
-from terranav.live.ears import Ear
+from terranav.live.ears import Ear, host_us
 from terranav.live.links import Address, inputs, outputs
 from terranav.live.mavlink_in import dialect
 from terranav.live.mavlink_out import Encoder
@@ -288,3 +288,10 @@ def test_random_bytes_and_many_peers_cost_no_more_memory() -> None:
     beat = Encoder(1).heartbeat()
     ear(beat, "new")
     assert packets[-1].data == beat
+
+
+def test_a_clock_that_is_set_moves_no_stamp(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = host_us()
+    monkeypatch.setattr("time.time_ns", lambda: 0)
+    monkeypatch.setattr("time.time", lambda: 0.0)
+    assert 0 <= host_us() - before < 60_000_000

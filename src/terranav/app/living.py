@@ -153,7 +153,7 @@ def in_one_line(facts: Mapping[str, Any]) -> str:
         parts.append(f"withheld: {engine['withheld'][0]}")
     if facts["since_measured"]:
         parts.append(f"latency {facts['since_measured']['p95_ms']:.0f} ms")
-    return one_line("  ".join(parts))
+    return one_line(", ".join(parts))
 
 
 def _share(facts: Mapping[str, Any]) -> float:

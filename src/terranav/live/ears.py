@@ -16,9 +16,17 @@ _MOST_PEERS = 16
 _SENTENCE = re.compile(rb"[$!][A-Z]{1,2}[A-Z0-9]{2,3}[A-Z],[\x20-\x7e]*", re.ASCII)
 
 
+#: the host's clock when the program began, by the clock that people set and by the one that nobody sets [ns]
+_BEGAN_NS = (time.time_ns(), time.monotonic_ns())
+
+
 def host_us() -> int:
-    """The host's clock [us since 1970]."""
-    return time.time_ns() // 1000
+    """The host's clock when the program began, and what has passed since [us since 1970].
+
+    So a clock that is set while the program runs, by NTP or by hand, moves no stamp.
+    """
+    set_ns, steady_ns = _BEGAN_NS
+    return (set_ns + time.monotonic_ns() - steady_ns) // 1000
 
 
 @dataclass
