@@ -37,7 +37,8 @@ def test_fixes_give_the_error_of_position_and_velocity() -> None:
         fusion.predict(t, *shifted(LAT, LON, truth[0] * t, (SPEED + truth[1]) * t), (truth[0], SPEED + truth[1], 0.0))
         if k % 10 == 0:
             noise = rng.normal(0.0, 5.0, 2)
-            assert fusion.take(Fix(0.0, *shifted(LAT, LON, noise[0], SPEED * t + noise[1]), (5.0, 5.0)))
+            fusion.take(Fix(0.0, *shifted(LAT, LON, noise[0], SPEED * t + noise[1]), (5.0, 5.0)))
+    assert fusion.used >= 117  # of 121: beyond 3 sigma on one of two axes lies one in 185
     error = fusion.mean[:4] - [truth[0] * 120.0, truth[1] * 120.0, *truth]
     assert error @ np.linalg.solve(fusion.cov[:4, :4], error) < 14.9  # 0.5 % of a chi-square with four degrees
     assert math.sqrt(fusion.cov[0, 0]) < 4.0

@@ -36,7 +36,7 @@ def fly(
         ),
     ] = None,
     speed: Annotated[float, typer.Option(metavar="X", help="Times real time; 0 is as fast as it goes.")] = 1.0,
-    wait: Annotated[bool, typer.Option("--wait", help="Take off when somebody is connected.")] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Take off when somebody is connected on every link.")] = False,
     seed: options.Seed = 0,
     record: Annotated[
         Path | None,

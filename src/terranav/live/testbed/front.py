@@ -58,7 +58,7 @@ class Front:
         status : callable, optional
             Called after every tick.
         wait : bool
-            Start when somebody is there: a connection of tcpin, a datagram for udpin.
+            Start when somebody is there on every link: a connection of tcpin, a datagram for udpin.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class Front:
         try:
             for number, each in enumerate(self.wires):
                 await each.open(self._hears(number))
-            while wait and self.wires and not any(each.connected for each in self.wires):
+            while wait and not all(each.connected for each in self.wires):
                 await asyncio.sleep(_ANSWER_S)
             await self._fly(status)
             await asyncio.sleep(_ANSWER_S)  # what was written last gets out
