@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -159,3 +161,31 @@ def test_hgt_is_egm96_by_definition(tmp_path: Path) -> None:
         write_map(chart, tmp_path / "N47E009.hgt")
     write_map(replace(chart, datum="EGM96"), tmp_path / "N47E009.hgt")
     assert tn.open_map(tmp_path / "N47E009.hgt").datum == "EGM96"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of files")
+@pytest.mark.parametrize("most", [0, 2_000, 300_000, 800_000])
+def test_a_disk_that_fills_up_is_said_and_nothing_is_left(tmp_path: Path, most: int) -> None:
+    """A limit on the size of files stands for the disk: what is written beyond it fails."""
+    script = f"""
+import resource, signal, numpy as np
+from terranav.core.errors import DataError
+from terranav.io.raster_out import write_map
+from terranav.maps.map import Map
+values = np.random.default_rng(1).normal(0.0, 1.0, (520, 520))
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))
+for suffix in (".tif", ".nc"):
+    try:
+        write_map(Map(values, (0.01, 0.0, 9.0, 0.0, -0.01, 48.0)), "map" + suffix)
+        print("written")
+    except DataError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    said = done.stdout.splitlines()
+    assert len(said) == 2
+    assert all(
+        line.startswith(f"map{suffix}: cannot be written") for line, suffix in zip(said, (".tif", ".nc"), strict=True)
+    )
+    assert list(tmp_path.iterdir()) == []

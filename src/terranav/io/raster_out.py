@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -175,15 +176,37 @@ def _raster(
         "blockxsize": TILE,
         "blockysize": TILE,
         "bigtiff": "if_safer",
-        "num_threads": "all_cpus",
     }
     try:
         with rasterio.open(aside, "w", **profile) as raster:
             yield raster
+        _check_whole(aside, file)
     except DataError:  # is a ValueError, too, and says what it is
         raise
     except (RasterioError, ValueError) as problem:
         raise DataError(f"{file}: cannot be written ({' '.join(str(problem).split())[:200]})") from None
+
+
+def _check_whole(aside: Path, file: Path) -> None:
+    """Raise DataError where a GeoTIFF has lost blocks: GDAL says nothing of a disk that is full when it closes."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    size = aside.stat().st_size
+
+    def is_there(raster: Any, band: int, place: str) -> bool:
+        at, length = (raster.get_tag_item(f"BLOCK_{key}_{place}", "TIFF", band) for key in ("OFFSET", "SIZE"))
+        return at is not None and int(at) + int(length) <= size
+
+    try:
+        with rasterio.open(aside) as raster:
+            down, across = (-(-side // TILE) for side in raster.shape)
+            places = [f"{j}_{i}" for i in range(down) for j in range(across)]
+            whole = all(is_there(raster, band, place) for band in raster.indexes for place in places)
+    except RasterioError:
+        whole = False
+    if not whole:
+        raise DataError(f"{file}: cannot be written whole, expected a disk with space for it")
 
 
 def _with_vertical(crs: str, datum: str | None) -> str:
@@ -222,7 +245,18 @@ def _netcdf(part: Part, aside: Path, file: Path) -> None:
         data["crs"] = xr.DataArray(np.int32(0), attrs=mapping)
         data["z"].attrs["grid_mapping"] = "crs"
     packed = {"zlib": True, "complevel": 4, "shuffle": True, "dtype": "float32", "_FillValue": np.float32("nan")}
-    data.to_netcdf(aside, engine="h5netcdf", encoding={"z": packed})
+    aside.write_bytes(_netcdf_bytes(data, {"z": packed}))
+
+
+def _netcdf_bytes(data: Any, encoding: dict[str, Any]) -> memoryview:
+    """The file in memory: HDF5 ends the process when a disk is full as it closes a file there."""
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    held = io.BytesIO()
+    with h5netcdf.File(held, "w") as file:
+        data.dump_to_store(H5NetCDFStore(file), encoding=encoding)
+    return held.getbuffer()
 
 
 def _axes(crs: str) -> tuple[tuple[str, dict[str, str]], tuple[str, dict[str, str]], dict[str, Any]]:
