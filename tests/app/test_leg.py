@@ -34,7 +34,7 @@ def test_it_is_the_forecast(flight: Flight, capsys: pytest.CaptureFixture[str]) 
     assert main(asked(flight)) == 0
     said = capsys.readouterr().out
     assert "as forecast" in said
-    assert "after 5.6 km" in said
+    assert "\n5.6 km " in said
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ def _show(facts: dict[str, Any]) -> None:
 
     way, told, least = (np.array(facts[key]) for key in ("distance_m", "sigma_m", "bound_m"))
     stops = [round(k) for k in np.linspace(0, way.size - 1, min(STOPS, way.size))]
-    lines = [(f"after {distance(way[k])}", f"{distance(told[k])} (bound {distance(least[k])})") for k in stops]
+    lines = [(distance(way[k]), f"{distance(told[k])} (bound {distance(least[k])})") for k in stops]
     show_pairs(
         [
             ("map", f"{facts['map']['name']} ({facts['map']['kind']})"),
