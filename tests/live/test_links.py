@@ -143,8 +143,9 @@ class Listener:
     def __init__(self) -> None:
         self.heard: list[tuple[bytes, Hashable]] = []
 
-    def __call__(self, data: bytes, peer: Hashable) -> None:
+    def __call__(self, data: bytes, peer: Hashable) -> bool:
         self.heard.append((data, peer))
+        return not data.startswith(b"noise")
 
     @property
     def data(self) -> bytes:
@@ -158,7 +159,7 @@ async def until(true: Callable[[], Any], limit_s: float = 10.0) -> None:
         await asyncio.sleep(0.01)
 
 
-def test_udp_hears_and_answers_the_last_who_spoke() -> None:
+def test_udp_hears_all_and_answers_those_who_were_understood() -> None:
     async def main() -> None:
         one, ear, other = wire(Address("", "mavlink", "udpin")), Listener(), Listener()
         await one.open(ear)
@@ -166,11 +167,18 @@ def test_udp_hears_and_answers_the_last_who_spoke() -> None:
         assert not one.write(b"lost")
         two = wire(Address("", "mavlink", "udpout", port=one.port))  # type: ignore[attr-defined]
         await two.open(other)
-        assert two.write(b"hello")
-        await until(lambda: ear.data == b"hello")
+        assert two.write(b"noise")
+        await until(lambda: ear.data == b"noise")
+        assert not one.write(b"to nobody")
+        third, more = wire(Address("", "mavlink", "udpout", port=one.port)), Listener()  # type: ignore[attr-defined]
+        await third.open(more)
+        two.write(b"hello")
+        third.write(b"hello")
+        await until(lambda: ear.data == b"noisehellohello")
         assert one.write(b"there")
-        await until(lambda: other.data == b"there")
-        assert one.facts["unsent"] == 1
+        await until(lambda: other.data == more.data == b"there")
+        await third.close()
+        assert one.facts["unsent"] == 2
         await one.close()
         await two.close()
 

@@ -286,6 +286,23 @@ def heard(live: Live) -> int:
     return sum(rate["packets"] for rate in live.session.facts()["engine"]["links"].values())
 
 
+def test_a_link_that_must_speak_first_knocks() -> None:
+    async def main() -> None:
+        vehicle, place = Vehicle(), ("127.0.0.1", 0)
+        loop = asyncio.get_running_loop()
+        transport, _ = await loop.create_datagram_endpoint(lambda: vehicle, local_addr=place)
+        port = transport.get_extra_info("sockname")[1]
+        live = made(Plan(inputs([f"udpout:127.0.0.1:{port}"])))
+        task = asyncio.create_task(live.run())
+        await until(lambda: vehicle.answers)
+        assert {message.get_type() for message in vehicle.answers} == {"HEARTBEAT"}
+        live.stop()
+        await task
+        transport.close()
+
+    asyncio.run(main())
+
+
 def test_a_file_plays_at_its_speed(tmp_path: Path) -> None:
     file = tmp_path / "f.tlog"
     packets = FLIGHT.packets()[:160]

@@ -70,15 +70,18 @@ class Ear:
         self._peers: OrderedDict[Hashable, _Peer] = OrderedDict()
         self.refused = 0
 
-    def __call__(self, data: bytes, peer: Hashable) -> None:
-        """Hear bytes of one peer."""
+    def __call__(self, data: bytes, peer: Hashable) -> bool:
+        """Hear bytes of one peer; whether they completed a message that may be heard."""
         stamp_us = host_us()
         if peer not in self._peers and len(self._peers) >= _MOST_PEERS:
             self._peers.popitem(last=False)
         known = self._peers.setdefault(peer, _Peer())
         self._peers.move_to_end(peer)
+        heard = False
         for message in known.feed(data):
             if self._check is not None and not self._check(message):
                 self.refused += 1
                 continue
+            heard = True
             self._on_packet(Packet(stamp_us, self._link, message))
+        return heard

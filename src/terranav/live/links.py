@@ -1,6 +1,6 @@
 """Where live mode listens and sends: the addresses a user types, checked before anything is opened.
 
-    udpin:[HOST:]PORT (or udp:)   wait for datagrams; what is sent goes back to whoever spoke last
+    udpin:[HOST:]PORT (or udp:)   wait for datagrams; what is sent goes back to whoever was understood
     udpout:HOST:PORT              send there, and hear what comes back
     tcp:HOST:PORT                 connect, and connect again when it breaks
     tcpin:[HOST:]PORT             wait for connections

@@ -20,6 +20,7 @@ from terranav.live.autopilot import Autopilot
 from terranav.live.ears import Ear, host_us
 from terranav.live.logbook import Logbook
 from terranav.live.mavlink_in import dialect
+from terranav.live.mavlink_out import Encoder
 from terranav.live.plan import Plan
 from terranav.live.plumbing import Outputs, make_wires, place
 from terranav.live.recordings import Opened, opened
@@ -77,6 +78,8 @@ class Live:
         self.dropped = 0
         self._dropping = self._told_failed = False
         self.since_measured, self.since_arrived = Delays(), Delays()
+        self._door: Encoder | None = None
+        self._knocked_us = 0
 
     @property
     def ready(self) -> bool:
@@ -241,6 +244,7 @@ class Live:
             now_us = self.now_us()
             for output in self.outputs.all:
                 output.tick(now_us)
+            self._knock(now_us)
             if self._heard_on and not self._waiting and time.perf_counter() - self._now[1] > _QUIET_S:
                 self._arrived(Packet(host_us(), 0, b""))
             if self._logbook.failed and not self._told_failed:
@@ -249,6 +253,18 @@ class Live:
             if time.perf_counter() - told_s >= _STATUS_S:
                 told_s = time.perf_counter()
                 self._on_status(self.facts())
+
+    def _knock(self, now_us: int) -> None:
+        """Say on links that must speak first that we are there, unless an output does."""
+        beats = self.autopilot.system is not None and any(one.wire == "back" for one in self.plan.outputs)
+        wires = [wire for wire in self._heard_on.values() if wire.address.wire == "udpout"]
+        if beats or not wires or 0 <= now_us - self._knocked_us < 1_000_000:
+            return
+        self._knocked_us = now_us
+        self._door = self._door or Encoder(self.autopilot.system or 1, self.plan.key)
+        beat = self._door.heartbeat()
+        for wire in wires:
+            wire.write(beat)
 
     async def _save(self) -> None:
         """A checkpoint every few seconds."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import time
 from collections import Counter
 from collections.abc import Callable, Hashable
 from typing import Any, Protocol
@@ -17,14 +18,16 @@ from typing import Any, Protocol
 from terranav.core.errors import ConfigError
 from terranav.live.links import Address
 
-#: is told of bytes, and of the peer that sent them
-Heard = Callable[[bytes, Hashable], None]
+#: is told of bytes and of the peer that sent them; False says that they are not worth an answer
+Heard = Callable[[bytes, Hashable], bool | None]
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 8.0
 _BUFFER_BYTES = 1 << 20
 #: a connection that takes nothing for so many bytes loses what is written next
 _BACKLOG_BYTES = 1 << 16
 _READ_BYTES = 65536
 _MOST_CONNECTIONS = 16
+#: a sender of datagrams is answered for so long after it was understood [s]
+_ANSWERED_S = 30.0
 
 
 class Wire(Protocol):
@@ -81,12 +84,12 @@ def refused(address: Address, problem: OSError) -> ConfigError:
 
 
 class _Udp(asyncio.DatagramProtocol):
-    """Datagrams: bound and answering whoever spoke last, or sent to one place."""
+    """Datagrams: bound and answering whoever was understood of late, or sent to one place."""
 
     def __init__(self, address: Address) -> None:
         self.address, self.facts = address, Counter[str]()
         self._transport: Any = None
-        self._peer: Any = None
+        self._peers: dict[Any, float] = {}
 
     async def open(self, heard: Heard) -> None:
         self._heard = heard
@@ -105,8 +108,8 @@ class _Udp(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
         self.facts["bytes_in"] += len(data)
-        self._peer = addr
-        self._heard(data, addr)
+        if self._heard(data, addr) is not False and (addr in self._peers or len(self._asking()) < _MOST_CONNECTIONS):
+            self._peers[addr] = time.monotonic()
 
     def error_received(self, exc: Exception) -> None:
         """Nobody listens there just now: the next datagram may find someone."""
@@ -119,13 +122,20 @@ class _Udp(asyncio.DatagramProtocol):
 
     @property
     def connected(self) -> bool:
-        return self._transport is not None and (self.address.wire == "udpout" or self._peer is not None)
+        return self._transport is not None and (self.address.wire == "udpout" or bool(self._asking()))
+
+    def _asking(self) -> list[Any]:
+        """Who was understood of late."""
+        since = time.monotonic() - _ANSWERED_S
+        self._peers = {peer: when for peer, when in self._peers.items() if when >= since}
+        return list(self._peers)
 
     def write(self, data: bytes) -> bool:
         if not self.connected or self._transport.is_closing():
             self.facts["unsent"] += 1
             return False
-        self._transport.sendto(data, None if self.address.wire == "udpout" else self._peer)
+        for peer in (None,) if self.address.wire == "udpout" else self._asking():
+            self._transport.sendto(data, peer)
         self.facts["bytes_out"] += len(data)
         return True
 
