@@ -33,6 +33,8 @@ from terranav.io.logs import Log
 FIX_SIGMA_M = 5.0
 #: an INS of one nautical mile an hour: half of them are closer than that after an hour (CEP = 1.1774 sigma)
 NMPH_MPS = 1852.0 / 3600.0 / 1.1774
+#: random walk of the position of such an INS [m/sqrt(s)]: none drifts in a straight line
+DRIFT_WALK = 0.3
 #: how long before the cut the wind is averaged [s]
 WIND_S = 300.0
 #: least that says anything [s]
@@ -104,8 +106,8 @@ class _Made:
 
 
 def nautical_miles_an_hour(rate: float) -> InsGrade:
-    """An INS on position level with a constant velocity error of so many nautical miles an hour (CEP)."""
-    return InsGrade(FIX_SIGMA_M, rate * NMPH_MPS, 0.0, name=f"{rate:g} nmi/h")
+    """An INS on position level with a velocity error of so many nautical miles an hour (CEP), and a walk as all have."""
+    return InsGrade(FIX_SIGMA_M, rate * NMPH_MPS, DRIFT_WALK, name=f"{rate:g} nmi/h")
 
 
 def dead_reckoned(log: Log, way: Way, first: int, last: int, flown: Flown) -> tuple[Recording, list[str]]:
