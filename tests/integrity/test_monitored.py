@@ -273,3 +273,15 @@ def test_only_what_can_be_watched_is_watched() -> None:
 def test_a_covariance_that_is_not_positive_is_refused() -> None:
     with pytest.raises(ConfigError, match="positive definite"):
         Prior(np.zeros(2), np.diag([100.0, 0.0]))
+
+
+def test_epochs_without_readings_are_no_trouble_while_it_is_lost() -> None:
+    """Live, and in logs, there are more epochs than readings."""
+    trip = flight([ground()], 1, readings=300, jump=(JUMP, 1340.0, 4818.0))
+    navigator = navigator_for([ground()])
+    between = [replace(one, time_s=one.time_s + 0.5, measurements=()) for one in trip.epochs]
+    epochs = [epoch for pair in zip(trip.epochs, between, strict=True) for epoch in pair]
+    kept = list(states(navigator, PRIOR, epochs, np.random.default_rng([1, 7])))
+    searched = [state for state in kept if state.lost and state.since and state.since % 20 == 0]
+    assert any(not state.innovations for state in searched)
+    assert len(kept) == len(epochs)

@@ -46,7 +46,8 @@ def mended(monitor: Monitored, state: MonitorState, rng: Generator) -> MonitorSt
     """The state after what this epoch's readings call for."""
     if state.lost and state.off_map >= BLIND:
         return changed(_searched(monitor, state, state.lost, 0, rng), off_map=1)
-    if state.lost and state.off_map == 0 and state.since >= EDGE and state.since % EDGE == 0:
+    searching = state.lost and state.off_map == 0 and state.innovations
+    if searching and state.since >= EDGE and state.since % EDGE == 0:
         state = _within_the_map(monitor, state, rng)
     if not any(one.known > 0.5 for one in state.innovations):
         return state
