@@ -106,7 +106,7 @@ class _Made:
 
 
 def nautical_miles_an_hour(rate: float) -> InsGrade:
-    """An INS on position level with a velocity error of so many nautical miles an hour (CEP), and a walk as all have."""
+    """An INS on position level with a velocity error of so many nautical miles an hour (CEP), and a walk."""
     return InsGrade(FIX_SIGMA_M, rate * NMPH_MPS, DRIFT_WALK, name=f"{rate:g} nmi/h")
 
 
