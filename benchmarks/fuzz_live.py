@@ -8,9 +8,10 @@ their limits, NaN and infinite, other senders, any message of the dialect with r
 right checksum and wrong fields, random bytes, empty packets, host stamps that step anywhere. Half of the damage comes
 as whole packets, half as a stream of bytes through the deframers.
 
-What is counted as a failure: an exception, a fix that is not finite or of no sigma, a remark that is no single line,
-facts that are no JSON, a checkpoint that cannot be resumed. Random content with a right checksum can describe another
-flight, so that nothing is said here of how right a fix is; tests/live/test_abuse.py does.
+What is counted as a failure: an exception, also one of the navigator's that the engine caught, a fix that is not
+finite or of no sigma, a remark that is no single line, facts that are no JSON, a checkpoint that cannot be resumed.
+Random content with a right checksum can describe another flight, so that nothing is said here of how right a fix is;
+tests/live/test_abuse.py does.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from benchmarks.live_messages import Flight, chart
 from terranav.live.deframing import Deframer, LineDeframer, crc
-from terranav.live.engine import Engine
+from terranav.live.engine import NAVIGATOR_FAULT, Engine
 from terranav.live.records import Fix, Packet, Remark
 from terranav.live.settings import LiveSettings
 
@@ -183,6 +184,8 @@ def episode(flight: Flight, count: int, rng: random.Random) -> Iterator[Packet]:
 def unsound(said: Fix | Remark) -> str:
     """What is wrong with a fix or a remark, or nothing."""
     if isinstance(said, Remark):
+        if said.key == NAVIGATOR_FAULT:
+            return said.text
         return "" if said.text and len(said.text.splitlines()) == 1 else f"remark {said.text!r}"
     numbers = [
         said.lat_deg,

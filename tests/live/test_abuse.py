@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from terranav.live.engine import Engine
+from terranav.live.engine import NAVIGATOR_FAULT, Engine
 from terranav.live.records import Fix, Packet, Remark
 from tests.live.flights import HOST_US, Flight, chart, flown, settings
 
@@ -51,6 +51,7 @@ def flown_safely(packets: Packets, truth: Flight | None = None) -> tuple[list[Fi
     engine = Engine(settings(), [chart()])
     fixes, remarks = flown(engine, packets)
     true = truth or flight()
+    assert NAVIGATOR_FAULT not in [one.key for one in remarks]
     for fix in fixes:
         numbers = [fix.lat_deg, fix.lon_deg, fix.alt_m, *fix.sigma_m, *(fix.velocity_mps or ())]
         assert all(map(math.isfinite, numbers))

@@ -309,3 +309,23 @@ def _numbered(frame: bytes, sequence: int) -> bytes:
     link = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     link.seq = sequence
     return bytes(link.decode(bytearray(frame)).pack(link))
+
+
+def test_a_navigator_that_fails_starts_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    from terranav.integrity.monitored import Monitored
+
+    step, calls = Monitored.step, []
+
+    def failing(self: Monitored, *told: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 700:
+            raise ValueError("no such thing")
+        return step(self, *told)
+
+    monkeypatch.setattr(Monitored, "step", failing)
+    fixes, remarks = flown(Engine(settings(), [chart()]), flight().packets())
+    (said,) = [one for one in remarks if one.key == "navigator fault" and one.level == "error"]
+    assert said.text == "the navigator failed and starts anew: ValueError: no such thing"
+    assert len(fixes) > 1100
+    assert flight().error_m(fixes[-1]) < 60.0
+    assert all(flight().error_m(fix) <= fix.estimate.protection_m for fix in fixes if fix.usable)
