@@ -148,3 +148,26 @@ def test_gaps_are_told_and_nothing_is_drawn_over_them(tmp_path: Path) -> None:
     assert any("gaps: 1, the longest 10.1 s" in line for line in log.remarks)
     rec = log.recording.between(*log.facts["truth"]["longest_s"])
     assert np.isfinite(rec.ins_error_m()).all()
+
+
+@pytest.mark.parametrize("unix", [False, True], ids=["counts from start-up", "is a date"])
+def test_a_receiver_is_timed_by_its_own_stamp_where_a_link_delivers_in_bursts(tmp_path: Path, unix: bool) -> None:
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega", reason="needs the extra 'logs'")
+    link, made, data = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), flight(60.0), b""
+    host_us = 1_700_000_000_000_000
+    for i, t in enumerate(made.time_s.tolist()):
+        us, lat, lon = 5_000_000 + round(t * 1e6), round(made.lat_deg[i] * 1e7), round(made.lon_deg[i] * 1e7)
+        own = mavlink.MAVLink_global_position_int_message(us // 1000, lat, lon, 500_000, 0, 0, 0, 0, 0)
+        stamp = host_us + us if unix else us
+        gnss = mavlink.MAVLink_gps_raw_int_message(stamp, 3, lat, lon, 500_000, 80, 80, 2000, 4500, 14)
+        arrives = host_us + 700_000 * (us // 700_000 + 1)
+        data += b"".join(arrives.to_bytes(8, "big") + one.pack(link) for one in (own, gnss))
+    path = tmp_path / "bursts.tlog"
+    path.write_bytes(data)
+    rec = open_log(path).recording
+    late = (rec.columns["lat_deg"] - rec.columns["true_lat_deg"])[10:-10]
+    step = np.diff(made.lat_deg)[0]
+    if unix:  # a date is not the vehicle's clock: what came late seems late
+        assert np.abs(late).max() > 2 * step
+    else:
+        assert np.abs(late).max() < 0.01 * step
