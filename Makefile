@@ -3,13 +3,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PEERS := $(VENV)/peers
 
-.PHONY: demo test check bench setup pins clean
+.PHONY: demo test check bench setup peers pins clean
 
 demo: $(STAMP)
 	$(BIN)/terranav demo --out terranav-demo
 
-test: check
+test: check peers
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2  # two workers share two cores
 
 check: $(STAMP)
@@ -30,7 +31,12 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
+# Programs that tests fly with, in a folder of their own; without them their tests are skipped, and say so.
+peers: $(STAMP)
+	@test $(PEERS)/.installed -nt requirements/peers.txt || { rm -rf $(PEERS) && $(BIN)/python -m pip install --quiet --disable-pip-version-check --retries 1 --timeout 20 --no-deps --no-compile --require-hashes --target $(PEERS) -r requirements/peers.txt && touch $(PEERS)/.installed; } || echo "peers: not installed, their tests are skipped"
+
 pins:
+	uv pip compile --quiet --no-deps --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-header requirements/peers.in -o requirements/peers.txt
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --extra dev requirements/build.in pyproject.toml -o requirements/dev.txt
 
 clean:
