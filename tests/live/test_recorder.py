@@ -242,3 +242,26 @@ def test_own_messages_of_a_run_open_as_a_log_too(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         found = list(opened(tmp_path / "sent.tlog").packets())
     assert len(found) == 3
+
+
+def test_the_length_of_the_container_is_known_without_looking(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, ("a",))
+    for packet in FLIGHT.packets()[:30]:
+        recorder.packet(packet)
+    length = recorder.received_bytes
+    assert length == (tmp_path / RECEIVED).stat().st_size
+    recorder.close()
+    again = Recorder(tmp_path, ("a",), resume_bytes=length)
+    again.packet(FLIGHT.packets()[30])
+    assert again.received_bytes == (tmp_path / RECEIVED).stat().st_size > length
+    again.close()
+
+
+def test_a_folder_that_goes_away_ends_the_recording_alone(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", ("a",))
+    (tmp_path / "run").rename(tmp_path / "gone")
+    recorder.packet(FLIGHT.packets()[0])
+    recorder.remark(Remark(0, "info", "a", "b"))
+    assert recorder.received_bytes > 0
+    assert "nothing is recorded from here on" in recorder.failed
+    recorder.close()

@@ -94,7 +94,7 @@ class Recorder:
         self._files: dict[str, BinaryIO] = {}
         self._dirty: set[str] = set()
         self.failed = ""
-        self._written_to = -1
+        self._written_to, self._received = -1, resume_bytes or 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if resume_bytes is None:
@@ -150,6 +150,7 @@ class Recorder:
                 self._files[name] = (self.folder / name).open("ab")
             self._files[name].write(data)
             self._dirty.add(name)
+            self._received += len(data) if name == RECEIVED else 0
         except (OSError, ValueError) as problem:
             self._fail(name, problem)
 
@@ -170,7 +171,7 @@ class Recorder:
     def received_bytes(self) -> int:
         """How long the container is, all of it flushed."""
         self.flush()
-        return (self.folder / RECEIVED).stat().st_size
+        return self._received
 
     def close(self) -> None:
         """Flush and close everything."""
