@@ -2,6 +2,7 @@
 
     python -m benchmarks.live_flight [--seeds 10] [--minutes 20] [--as px4|ardupilot] [--map DEM]
     python -m benchmarks.live_flight --soak 6
+    python -m benchmarks.live_flight --picture docs/fly.png [--first-seed 0]
 
 A run flies the Cessna over terranav.sample_map(), whose true ground differs from the map by its stated error, with GNSS
 for two minutes. Route, wind and all errors differ from seed to seed. The engine hears what the vehicle sends, as
@@ -20,6 +21,7 @@ import gc
 import math
 import os
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -167,6 +169,47 @@ def soak(chart: tn.Map, hours: float, seed: int) -> None:
           f"own position {flight.own_error_m:.0f} m off at the end")  # fmt: skip
 
 
+def picture(chart: tn.Map, settings: FlightSettings) -> bytes:
+    """Where the aircraft flew with the fixes and without them, and how far off its own position was."""
+    from terranav.app.style import INS, MAIN, new_figure, png, styled
+    from terranav.app.trackmap import HALO, dress, shade
+
+    with_fixes, without = Lockstep(Flight(chart, settings), [chart]), Flight(chart, settings)
+    ways = [_way(with_fixes.flight, with_fixes.step), _way(without, without.tick)]
+    course = np.array(with_fixes.flight.course.places)
+    lat, lon = np.concatenate([way[:, 1] for way in ways]), np.concatenate([way[:, 2] for way in ways])
+    south, west, north, east = lat.min() - 0.02, lon.min() - 0.05, lat.max() + 0.02, lon.max() + 0.05
+    frame = (float(south), float(west), float(north), float(east))
+    with styled():
+        figure = new_figure(8.6)
+        ground, error = figure.subplots(2, 1, height_ratios=[3.4, 1.0])
+        shade(ground, chart, frame)
+        ground.plot(course[:, 1], course[:, 0], "--", color="#333333", linewidth=1.2, label="planned")
+        names = (MAIN, "flown with the fixes of terranav live"), (INS, "flown without fixes")
+        for (colour, name), way in zip(names, ways, strict=True):
+            ground.plot(way[:, 2], way[:, 1], color=colour, linewidth=2.0, path_effects=HALO, label=name)
+            error.plot(way[:, 0] / 60.0, np.maximum(way[:, 3], 0.3), color=colour, linewidth=1.6)
+        lost = min(int(settings.gnss_off_s), len(ways[0]) - 1)
+        ground.plot(*ways[0][lost, [2, 1]], "o", color="#111111", markersize=7, label="GNSS is lost", zorder=9)
+        ground.set(xlim=(frame[1], frame[3]), ylim=(frame[0], frame[2]))
+        dress(ground, frame)
+        error.axvline(settings.gnss_off_s / 60.0, color="#111111", linewidth=1.0)
+        error.set(yscale="log", xlabel="minutes of flight", ylabel="own position\nwrong by [m]")
+        error.set_xlim(0.0, settings.minutes)
+        figure.legend(loc="outside lower center", ncols=4, fontsize=10)
+    return png(figure, dpi=110)
+
+
+def _way(flight: Flight, step: Callable[[], object]) -> FloatArray:
+    """Time [s], true latitude and longitude [deg], and own error [m] (n, 4), once a second."""
+    rows = []
+    while not flight.over:
+        step()
+        if flight.time_us % 1_000_000 == 0:
+            rows.append((flight.time_us * 1e-6, flight.truth.lat_deg, flight.truth.lon_deg, flight.own_error_m))
+    return np.array(rows)
+
+
 def resident_mb() -> float:
     """Memory of this process that is in RAM [MiB]; Linux."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -182,8 +225,12 @@ def main() -> None:
     parser.add_argument("--as", dest="autopilot", default="px4")
     parser.add_argument("--map", type=Path, help="instead of the sample map")
     parser.add_argument("--soak", type=float, metavar="HOURS", help="one long flight: memory")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="one flight with and one without fixes, drawn")
     told = parser.parse_args()
     chart = tn.sample_map() if told.map is None else tn.open_map(told.map, kind="terrain")
+    if told.picture is not None:
+        told.picture.write_bytes(picture(chart, FlightSettings(minutes=told.minutes, seed=told.first_seed)))
+        return
     if told.soak is not None:
         soak(chart, told.soak, told.first_seed)
         return

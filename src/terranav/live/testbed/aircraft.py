@@ -156,6 +156,8 @@ def _library() -> Any:
         raise ConfigError(
             "the flying test bed needs jsbsim, which is not installed: pip install terranav[fly]"
         ) from None
+    if not hasattr(jsbsim, "set_logger"):
+        raise ConfigError("the flying test bed needs jsbsim 1.3 or newer: pip install --upgrade terranav[fly]")
 
     class Silent(jsbsim.FGLogger):  # type: ignore[name-defined, misc]
         """A logger that says nothing."""
