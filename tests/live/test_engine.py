@@ -23,7 +23,7 @@ from tests.live.flights import HOST_US, Flight, chart, digest, flown, settings
 
 
 @cache
-def flight(seconds: float = 120.0, **more: Any) -> Flight:
+def flight(seconds: float = 90.0, **more: Any) -> Flight:
     return Flight(seconds=seconds, **more)
 
 
@@ -38,7 +38,7 @@ def test_the_fix_holds_while_reckoning_drifts() -> None:
     usable = np.array([fix.usable for fix in fixes])
     protection = np.array([fix.estimate.protection_m for fix in fixes])
     assert usable[-300:].mean() > 0.9
-    assert np.max(away[usable]) < 50.0  # reckoning alone is 86 m off at the end
+    assert np.max(away[usable]) < 50.0  # reckoning alone is 65 m off at the end
     assert not np.any(usable & (away > protection))
     assert [one.key for one in remarks if one.level == "info"][:4] == ["vehicle", "autopilot", "start", "fix usable"]
 
@@ -326,6 +326,6 @@ def test_a_navigator_that_fails_starts_anew(monkeypatch: pytest.MonkeyPatch) -> 
     fixes, remarks = flown(Engine(settings(), [chart()]), flight().packets())
     (said,) = [one for one in remarks if one.key == "navigator fault" and one.level == "error"]
     assert said.text == "the navigator failed and starts anew: ValueError: no such thing"
-    assert len(fixes) > 1100
+    assert len(fixes) > 800
     assert flight().error_m(fixes[-1]) < 60.0
     assert all(flight().error_m(fix) <= fix.estimate.protection_m for fix in fixes if fix.usable)
