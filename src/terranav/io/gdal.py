@@ -90,7 +90,8 @@ def _kept(file: Path) -> Iterator[Any]:
 
             own = {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE_BYTES}
             with rasterio.Env(**own):
-                raster = rasterio.open(file)
+                raster = rasterio.open(_path(file))
+                raster.read(1, window=((0, 1), (0, 1)))  # GDAL fixes its limit with the first block of the process
         yield raster
         rasters[key] = raster
         if len(rasters) > MOST_OPEN:
@@ -106,8 +107,13 @@ def _opened(file: Path) -> Iterator[Any]:
     logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's remarks stay off the terminal
     with _as_data_error(file), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(file) as raster:
+        with rasterio.open(_path(file)) as raster:
             yield raster
+
+
+def _path(file: Path) -> str:
+    """What GDAL calls a file: it looks into .gz only where it is told to."""
+    return f"/vsigzip/{file.absolute()}" if file.suffix.lower() == ".gz" else str(file)
 
 
 @contextmanager
