@@ -171,3 +171,18 @@ def test_with_a_key_all_is_signed_and_only_that_is_taken() -> None:
     station.out.signing.secret_key = key
     assert station.ask(ask)
     assert one.facts()["ignored"] == {"unsigned": 2}
+
+
+def test_answers_leave_before_what_is_packed_after_them() -> None:
+    """Else their stamps are old, and who checks signatures refuses them."""
+    key = bytes(range(32))
+    one = flight(sign_key=key)
+    check = Checker(key, lambda: (one.settings.start_us + one.time_us - 1_420_070_400_000_000) // 10)
+    assert all(check(data) for _, data in one.tick())
+    station = Station(one)
+    sign_with(station.out, key)
+    station.out.signing.timestamp = (one.settings.start_us + one.time_us - 1_420_070_400_000_000) // 10
+    one.take(D.MAVLink_param_request_list_message(1, 1).pack(station.out))
+    sent = [data for _, data in one.tick()]
+    assert any(data[7] == D.MAVLINK_MSG_ID_PARAM_VALUE for data in sent)
+    assert all(check(data) for data in sent)

@@ -109,7 +109,8 @@ class Flight:
         self._told = self._sense()
         self._tick += 1
         date = self.settings.start_us + self.time_us
-        return [*(Sent(date, frame) for frame in self.telemetry.due(self._told)), *self.answers()]
+        # answers were packed before: counters and stamps of signatures only rise, as a receiver insists
+        return [*self.answers(), *(Sent(date, frame) for frame in self.telemetry.due(self._told))]
 
     def answers(self) -> list[Sent]:
         """What the vehicle answers to what it took since the last tick; `tick` gives that too."""
