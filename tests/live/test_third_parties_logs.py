@@ -54,7 +54,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
         ):
             size = await asyncio.wait_for(stream(bed, log, LOGGED_S), 300.0)
             await until(lambda: flash.is_file() and flash.stat().st_size >= size - BLOCK_BYTES, "the .BIN is written")
-            await until(lambda: proxy.counts()["GLOBAL_POSITION_INT", 1, 1] >= 10 * LOGGED_S, "the .tlog is written")
+            await proxy.logs("GLOBAL_POSITION_INT", count=round(10 * LOGGED_S))
         return proxy
 
     proxy = asyncio.run(fly())

@@ -33,12 +33,12 @@ def mavproxy_command() -> list[str]:
     return [found]
 
 
-async def until(true: Callable[[], Any], what: str, limit_s: float = PATIENCE_S) -> None:
+async def until(true: Callable[[], Any], what: str, pause_s: float = 0.05) -> None:
     """Wait for something, and say what did not happen."""
-    end = asyncio.get_running_loop().time() + limit_s
+    end = asyncio.get_running_loop().time() + PATIENCE_S
     while not true():
-        assert asyncio.get_running_loop().time() < end, f"did not happen in {limit_s:.0f} s: {what}"
-        await asyncio.sleep(0.05)
+        assert asyncio.get_running_loop().time() < end, f"did not happen in {PATIENCE_S:.0f} s: {what}"
+        await asyncio.sleep(pause_s)
 
 
 @dataclass
@@ -77,6 +77,10 @@ class Proxy:
     def counts(self) -> Counter[tuple[str, int, int]]:
         """(message, system, component) and how often it stands in the log so far."""
         return Counter((m.get_type(), m.get_srcSystem(), m.get_srcComponent()) for m in self.messages())
+
+    async def logs(self, name: str, sender: tuple[int, int] = (1, 1), count: int = 1) -> None:
+        """Wait until so many messages of a sender stand in its log."""
+        await until(lambda: self.counts()[name, *sender] >= count, f"MAVProxy logs {count} {name} of {sender}", 0.3)
 
     async def stop(self) -> None:
         """Ask it to end, and see that it does: it reads commands until there are no more."""
