@@ -131,7 +131,13 @@ def test_wrong_use_is_one_line() -> None:
         forecast(blind, chart, INS)
     with pytest.raises(DataError, match="no map is given"):
         forecast(rec, [], INS)
-    wrongs: tuple[dict[str, Any], ...] = ({"outlier_share": 0.7}, {"blur_cells": -1.0}, {"repeats": 0}, {"repeats": True}, {"seed": -1})
+    wrongs: tuple[dict[str, Any], ...] = (
+        {"outlier_share": 0.7},
+        {"blur_cells": -1.0},
+        {"repeats": 0},
+        {"repeats": True},
+        {"seed": -1},
+    )
     for wrong in wrongs:
         with pytest.raises(ConfigError, match=f"forecast {next(iter(wrong))} is"):
             forecast(rec, chart, INS, **wrong)
