@@ -51,6 +51,7 @@ MAP_SIGMA_M = 2.0  # two drives' barometers differ by 1.5 m once their slow drif
 SCALE, HEADING_DEG, GYRO_DEG_PER_H = 0.01, 1.0, 3.0
 ODOMETER = tn.InsGrade(5.0, 0.3, 0.3, 0.02)
 SPACING_CELLS = 0.5
+NEAR_M, FAR_M = 100.0, 250.0
 
 
 @dataclass(frozen=True)
@@ -169,11 +170,20 @@ def one(chart: tn.Map, denied: Denied, seed: int) -> dict[str, float]:
         "aided_r95": figures["r95_m"],
         "aided_end": figures["final_m"],
         "aided_median": float(np.nanmedian(held)),
+        "within 100 m": float(np.mean(held[np.isfinite(held)] < NEAR_M)),
+        "unaided, so": float(np.mean(alone[np.isfinite(alone)] < NEAR_M)),
+        "held for, min": _held_min(flight.time_s, held),
         "in 95 %": figures["contained_95"],
         "usable": figures["available"],
         "beyond HPL": float(np.mean(held[usable] > result.protection_m[usable])) if usable.any() else 0.0,
         "better": float(figures["r95_m"] < np.nanpercentile(alone, 95)),
     }
+
+
+def _held_min(time_s: FloatArray, error_m: FloatArray) -> float:
+    """Minutes until the error first exceeds FAR_M, the whole drive where it never does."""
+    beyond = np.flatnonzero(error_m > FAR_M)
+    return float(time_s[beyond[0] if beyond.size else -1] - time_s[0]) / 60.0
 
 
 def overlap(first: Log, second: Log) -> str:
