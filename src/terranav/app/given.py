@@ -77,8 +77,6 @@ def open_maps(paths: Sequence[Path], options: Mapping[str, Sequence[Any] | None]
     ------
     ConfigError, DataError
     """
-    from terranav.io.rasters import open_map
-
     n = len(paths)
     each: list[dict[str, Any]] = [{} for _ in paths]
     for key, values in options.items():
@@ -90,19 +88,37 @@ def open_maps(paths: Sequence[Path], options: Mapping[str, Sequence[Any] | None]
             each[i]["correlation_m" if key == "correlation" else key] = (values or ())[
                 i if len(values or ()) == n else 0
             ]
-    return tuple(
-        _embedded(keywords) if path == SAMPLE and not path.exists() else open_map(path, **keywords)
-        for path, keywords in zip(paths, each, strict=True)
-    )
+    return tuple(one_map(path, "map-", **keywords) for path, keywords in zip(paths, each, strict=True))
 
 
-def _embedded(keywords: Mapping[str, Any]) -> Map:
-    """The map that needs no file; it is what it is."""
+def one_map(path: Path, prefix: str = "", **options: Any) -> Map:
+    """A map in a file or a folder of tiles, or the embedded one.
+
+    Parameters
+    ----------
+    path : Path
+    prefix : str
+        Of the options that were typed, such as 'map-', for messages.
+    **options
+        Of `terranav.io.rasters.open_map`.
+    """
+    from terranav.io.rasters import open_map
+
+    chart = embedded(path, options, prefix)
+    return open_map(path, **options) if chart is None else chart
+
+
+def embedded(path: Path, options: Mapping[str, Any], prefix: str = "") -> Map | None:
+    """The map that needs no file where 'sample' is said and no such file is there; it is what it is."""
     from terranav.maps.sample_dem import sample_map
 
-    if keywords:
-        name = next(iter(keywords)).removesuffix("_m")
-        raise ConfigError(f"--map-{name} is given for the embedded map 'sample', expected a map in a file")
+    if path != SAMPLE or path.exists():
+        return None
+    told = [key for key, value in options.items() if value not in (None, False, "terrain")]
+    if told:
+        name = told[0].removesuffix("_m").replace("_", "-")
+        prefix = "map-" if name in ("datum", "correlation") else prefix
+        raise ConfigError(f"--{prefix}{name} is given for the embedded map 'sample', expected a map in a file")
     return sample_map()
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from terranav.app.given import SAMPLE
+from terranav.app.given import embedded
 from terranav.app.listing import map_pairs
 from terranav.app.words import coordinate, percent
 from terranav.core.checks import finite
@@ -54,16 +54,10 @@ def opened(file: Path, box: str | None = None, **options: Any) -> Part:
     """
     from terranav.io.thinning import open_part, part_of
 
-    where = parsed_box(box)
-    if file != SAMPLE or file.exists():
+    where, chart = parsed_box(box), embedded(file, options)
+    if chart is None:
         return open_part(file, where, **options)
-    from terranav.maps.sample_dem import sample_map
-
-    told = [key for key, value in options.items() if value not in (None, False, "terrain")]
-    if told:
-        option = "map-datum" if told[0] == "datum" else told[0].replace("_", "-")
-        raise ConfigError(f"--{option} is given for the embedded map 'sample', expected a map in a file")
-    return part_of(sample_map() if where is None else sample_map().crop(*where))
+    return part_of(chart if where is None else chart.crop(*where))
 
 
 def geoids_from(texts: Sequence[str]) -> list[Geoid]:

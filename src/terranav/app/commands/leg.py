@@ -20,7 +20,10 @@ def leg(
     start: Annotated[str, typer.Argument(metavar="A", help="Start as lat,lon; put -- before a negative latitude.")],
     end: Annotated[str, typer.Argument(metavar="B", help="End as lat,lon.")],
     *,
-    file: Annotated[Path, typer.Option("--map", metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid.")],
+    file: Annotated[
+        Path,
+        typer.Option("--map", metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid, a folder of tiles, or sample."),
+    ],
     sensor_sigma: Annotated[float, typer.Option(metavar="S", help="1-sigma of a reading, in the kind's unit.")] = 5.0,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Readings a second.")] = 1.0,
     speed: Annotated[float, typer.Option(metavar="MPS", help="Ground speed, in m/s.")] = 60.0,
@@ -37,8 +40,7 @@ def leg(
     """Say how well the position will be known along a straight leg: the forecast, places that look alike included."""
     from terranav.app.commands.route import _place
     from terranav.app.console import OK, show_json, working
-    from terranav.app.given import ins_from
-    from terranav.io.rasters import open_map
+    from terranav.app.given import ins_from, one_map
     from terranav.planning.bound import bound
     from terranav.planning.forecast import forecast, leg_recording
     from terranav.planning.suitability import LegSettings
@@ -46,7 +48,7 @@ def leg(
     ends = _place("A", start), _place("B", end)
     settings = LegSettings(sensor_sigma, rate, speed)
     grade = ins_from("--ins", ins)
-    chart = open_map(file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit)
+    chart = one_map(file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit)
     rec = leg_recording(chart, *ends, grade, settings)
     with working("flying the leg"):
         found, lowest = forecast(rec, chart, grade), bound(rec, chart, grade)

@@ -23,7 +23,9 @@ def about() -> None:
 
 @app.command()
 def suitability(
-    file: Annotated[Path, typer.Argument(metavar="MAP", help="Any GDAL raster or NetCDF/GMT grid.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="MAP", help="Any GDAL raster or NetCDF/GMT grid, a folder of tiles, or sample.")
+    ],
     *,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the picture and the GeoTIFFs.")],
     sensor_sigma: Annotated[float, typer.Option(metavar="S", help="1-sigma of a reading, in the kind's unit.")] = 5.0,
@@ -53,9 +55,8 @@ def suitability(
 ) -> int:
     """Say where on a map terrain-aided navigation works: the bound of a straight leg at each place and heading."""
     from terranav.app.console import OK, show_json, working
-    from terranav.app.given import ins_from
+    from terranav.app.given import ins_from, one_map
     from terranav.core.checks import finite
-    from terranav.io.rasters import open_map
     from terranav.planning import suitability as planning
 
     finite("--limit", limit, above=0.0)
@@ -64,7 +65,7 @@ def suitability(
     )
     grade = ins_from("--ins", ins)
     _folder(out)
-    chart = open_map(
+    chart = one_map(
         file, kind=kind, sigma=sigma, correlation_m=map_correlation, crs=crs, variable=variable, unit=unit,
         positive_down=positive_down,
     )  # fmt: skip

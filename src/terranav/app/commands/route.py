@@ -24,7 +24,10 @@ def route(
     start: Annotated[str, typer.Argument(metavar="A", help="Start as lat,lon; put -- before a negative latitude.")],
     end: Annotated[str, typer.Argument(metavar="B", help="End as lat,lon.")],
     *,
-    file: Annotated[Path, typer.Option("--map", metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid.")],
+    file: Annotated[
+        Path,
+        typer.Option("--map", metavar="FILE", help="Any GDAL raster or NetCDF/GMT grid, a folder of tiles, or sample."),
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the route's files and the picture.")],
     limit: Annotated[
         Metres, typer.Option(metavar="M", help="Largest 1-sigma, in m: the shortest route within it. Else: the lowest.")
@@ -78,8 +81,7 @@ def route(
 ) -> int:
     """Plan a route from A to B along which the map tells where the vehicle is: 1-sigma under a limit, or the lowest."""
     from terranav.app.console import INCOMPLETE, OK, complain, show_json, working
-    from terranav.app.given import folder_for, ins_from
-    from terranav.io.rasters import open_map
+    from terranav.app.given import folder_for, ins_from, one_map
     from terranav.io.routes import read_keep_out
     from terranav.planning.route import RouteSettings, plan_route
 
@@ -91,7 +93,7 @@ def route(
     grade = ins_from("--ins", ins)
     areas = [area for path in keep_out or () for area in read_keep_out(path)]
     folder_for(out)
-    chart = open_map(file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit)
+    chart = one_map(file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit)
     with working("looking for a route"):
         found = plan_route(chart, *ends, settings, grade, keep_out=areas)
     facts = {**_facts(found, chart), "files": _write(found, chart, areas, out)}
