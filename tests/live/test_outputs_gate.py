@@ -91,7 +91,7 @@ def test_whatever_leaves_is_finite_sure_and_young(one: Fix, max_age_s: float, fa
         return
     assert one.usable
     assert (NOW_US - one.stamp_us) * 1e-6 <= max_age_s
-    for sent in (made, made.widened(factor), made.carried(NOW_US + 200_000, max_age_s)):
+    for sent in (made, made.widened(factor), made.carried(200_000, max_age_s)):
         if sent is None:
             continue
         assert all(LEAST_SIGMA_M <= sigma <= 1.0001 * MOST_SIGMA_M for sigma in sent.sigma_m)
@@ -257,3 +257,15 @@ def test_pace_goes_on_after_the_clock_was_set_back() -> None:
     pace.taken(3_600_000_000)
     assert not pace.due(3_599_000_000)
     assert pace.due(0)
+
+
+def test_a_fix_is_carried_on_as_if_measured_later_and_no_further_than_it_may_be_old() -> None:
+    one = made()
+    on = one.carried(500_000, 1.0)
+    assert on is not None
+    assert offset_of(one.lat_deg, one.lon_deg, on.lat_deg, on.lon_deg) == pytest.approx((10.0, -15.0), abs=1e-6)
+    assert (on.stamp_us - one.stamp_us, on.boot_us, on.age_us) == (500_000, 12_500_000, one.age_us)
+    assert on.sigma_m == pytest.approx((math.hypot(15.0, 0.5), math.hypot(12.0, 0.5)))
+    assert one.carried(900_001, 1.0) is None
+    assert one.carried(-1, 1.0) is None
+    assert replace(one, velocity_mps=None).carried(100_000, 1.0) is None

@@ -67,19 +67,20 @@ class Offer:
         north, east = (min(sigma * scale, MOST_SIGMA_M) for sigma in self.sigma_m)
         return replace(self, sigma_m=(north, east))
 
-    def carried(self, now_us: int, max_age_s: float) -> Offer | None:
-        """The same moved on to now by its velocity; None where that is not known or the measurement is too old.
+    def carried(self, by_us: int, max_age_s: float) -> Offer | None:
+        """The same moved on by its velocity, as if measured so much later and sent with the same delay.
 
-        The sigma grows by 1 m/s: what a slow navigator's velocity is good for.
+        None where no velocity is known, or where the measurement is too old by then. The sigma grows by 1 m/s: what a
+        slow navigator's velocity is good for.
         """
-        later_s = (now_us - self.stamp_us) * 1e-6
-        if self.velocity_mps is None or not 0.0 <= later_s <= max_age_s:
+        later_s = by_us * 1e-6
+        if self.velocity_mps is None or later_s < 0.0 or self.age_us * 1e-6 + later_s > max_age_s:
             return None
         north, east, down = (speed * later_s for speed in self.velocity_mps)
         lat, lon = shifted(self.lat_deg, self.lon_deg, north, east)
         sigmas = (math.hypot(self.sigma_m[0], later_s), math.hypot(self.sigma_m[1], later_s))
-        boot_us = None if self.boot_us is None else self.boot_us + now_us - self.stamp_us
-        moved = replace(self, stamp_us=now_us, boot_us=boot_us, age_us=0, lat_deg=lat, lon_deg=lon, sigma_m=sigmas)
+        boot_us = None if self.boot_us is None else self.boot_us + by_us
+        moved = replace(self, stamp_us=self.stamp_us + by_us, boot_us=boot_us, lat_deg=lat, lon_deg=lon, sigma_m=sigmas)
         moved = replace(moved, alt_m=self.alt_m - down)
         return moved if not _impossible(moved) else None
 

@@ -101,6 +101,7 @@ class MavlinkOutput:
         self._pace: Pace | None = None
         self._beat_us = self._ask_us = -_ASK_US
         self._newest: Offer | None = None
+        self._newest_us = 0
 
     @property
     def what(self) -> str | None:
@@ -118,7 +119,7 @@ class MavlinkOutput:
         if isinstance(made, str):
             self.held[made] += 1
             return False
-        self._newest = made
+        self._newest, self._newest_us = made, now_us
         return self._paced(what, made, now_us)
 
     def _paced(self, what: str, made: Offer, now_us: int) -> bool:
@@ -180,9 +181,9 @@ class MavlinkOutput:
             self._ask_us = now_us
             self._write(self._encoder.origin_request(self._autopilot.system), now_us)
         self._answer_time(now_us)
-        if what == "ardupilot" and self._newest is not None and self._pace is not None and self._pace.due(now_us):
-            carried = self._newest.carried(now_us, self._max_age_s)
-            if carried is not None:
+        if what == "ardupilot" and self._newest is not None and self._pace is not None:
+            carried = self._newest.carried(now_us - self._newest_us, self._max_age_s)
+            if carried is not None and self._pace.due(carried.stamp_us):
                 self._paced(what, carried, now_us)
 
     def _answer_time(self, now_us: int) -> None:
