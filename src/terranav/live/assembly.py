@@ -3,7 +3,7 @@
 - An altimeter's reading makes an epoch at its own time. It waits until position and attitude have come as far, or for
   `lag_s` at the most; then they are drawn out to it. So what is late by less costs nothing, what is later is left out.
 - While nothing is measured there is an epoch every half second, `lag_s` behind the newest.
-- The barometer is set to the indicated altitude over the first 5 s, as in a log (`terranav.io.logs.assembly`).
+- The barometer is set to the indicated altitude over the first 5 s (`live.barometer`).
 - Of several sensors of one quantity one is heard; a laser before a radar.
 """
 
@@ -12,12 +12,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from statistics import median
 from typing import NamedTuple
 
 from terranav.core.earth import offset_of
 from terranav.core.records import Epoch, Measurement
-from terranav.io.logs.assembly import SETTING_S
+from terranav.live.barometer import CLIMBED_M, Barometer
 from terranav.live.heard import (
     AirData,
     Altitude,
@@ -36,12 +35,14 @@ from terranav.live.track import KEPT_S, REACH_S, START_SLACK_M, Break, Node, Tra
 
 IDLE_S = 0.5  # between epochs while nothing is measured
 OLD_S = 2.0  # the latest heading, airspeed, ... is used for so long
-_BARO_NEAR_S = 0.5  # a barometer's reading belongs to an epoch so near
 _TOGETHER_S = 0.02  # readings of one epoch
 _RANKS = {"GLOBAL_POSITION_INT": 0, "SCALED_PRESSURE": 0, "HIGHRES_IMU": 1, "LOCAL_POSITION_NED": 1, "VBW": 1}
 _LAST_RANK = 2
+#: velocities are summed up, so that one that hangs does harm soon: the same for a while as the nose turns is enough
+_VEERED_DEG, _VELOCITY_HANGS_S = 5.0, 2.0
+_SLOW_MPS = 2.0  # below it a course says nothing
 _MOST_PENDING, _MOST_SENSORS = 200, 64
-_MOVED_M, _CLIMBED_M, _TURNED_DEG = 50.0, 10.0, 20.0  # what a sensor that does not hang must notice
+_MOVED_M, _TURNED_DEG = 50.0, 20.0  # what a sensor that does not hang must notice
 
 Angles = tuple[float, float, float]
 
@@ -52,12 +53,6 @@ class _Angle(NamedTuple):
     whole: bool
 
 
-class _Barometer(NamedTuple):
-    time_s: float
-    altitude_m: float
-    indicated_m: float
-
-
 @dataclass(slots=True)
 class Assembly:
     """Hears words, gives epochs. All of it is plain data that pickles.
@@ -66,6 +61,7 @@ class Assembly:
     ----------
     settings : LiveSettings
     track : Track
+    barometer : Barometer
     last_epoch_s : float
         Time of the latest epoch.
     broken : Break or None
@@ -74,29 +70,32 @@ class Assembly:
         What was refused, and why; who reads them clears them.
     counts : dict
         Readings used, late, thinned.
+    heard_s : dict
+        When each sensor last said something that can be used [s].
     """
 
     settings: LiveSettings
     track: Track = field(init=False)
+    barometer: Barometer = field(init=False)
     last_epoch_s: float = -math.inf
     broken: Break | None = None
     notes: list[tuple[str, str]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     _attitudes: deque[_Angle] = field(default_factory=deque)
-    _baro: deque[_Barometer] = field(default_factory=deque)
-    _setting: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    _baro_offset_m: dict[str, float] = field(default_factory=dict)
     _air: tuple[float, AirData] | None = None
     _pending: list[tuple[float, Measurement]] = field(default_factory=list)
     _first: tuple[float, float, float] | None = None
     _velocity: tuple[float, tuple[float, float, float]] | None = None
+    heard_s: dict[str, float] = field(default_factory=dict)
     _odometer_m: float = 0.0
     _heading_deg: float = math.nan
+    _course_deg: float = math.nan
     _choices: dict[str, Choice] = field(default_factory=dict)
     _hangs: dict[str, Hang] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         told = self.settings
+        self.barometer = Barometer(Hang(told.frozen_s, CLIMBED_M))
         self.track = Track(told.ins_source == "position", told.max_gap_s, told.max_speed_mps)
 
     @property
@@ -125,7 +124,22 @@ class Assembly:
         elif isinstance(word, Ground):
             self._hear_ground(time_s, word)
         elif isinstance(word, Depth):
+            self._alive("echo sounder", time_s)
+            if not word.from_surface:
+                text = "the depth of the transducer is not told: depths count from it, not from the surface"
+                self._refused("depth of transducer", text)
             self._read(time_s, Measurement("bathymetry", -word.depth_m, self.settings.sigma_of("depth_m")))
+
+    def missing(self) -> str:
+        """What a track needs and has not been told, in words."""
+        needs = {
+            "a position, or to be told the start": self._first is None and self.settings.start_deg is None,
+            "an altitude": not math.isfinite(self.track.alt_m),
+            "a velocity": self.settings.ins_source == "velocity" and self._velocity is None,
+            "an airspeed": self.settings.ins_source == "airspeed" and self._air is None,
+            "a heading": self.settings.ins_source == "airspeed" and not self._attitudes,
+        }
+        return ", ".join(need for need, lacks in needs.items() if lacks) or "two positions that agree"
 
     def epochs(self, newest_s: float) -> list[Epoch]:
         """The epochs that can be made now, `newest_s` being the latest time that was heard."""
@@ -159,7 +173,7 @@ class Assembly:
         self.track.restarted = True
         self._pending.clear()
         self._attitudes.clear()
-        self._baro.clear()
+        self.barometer.forget()
         self._air = self._velocity = None
 
     def _waited(self, time_s: float, newest_s: float) -> bool:
@@ -172,9 +186,8 @@ class Assembly:
     def _epoch(self, node: Node, readings: tuple[Measurement, ...]) -> Epoch:
         """The epoch of a time."""
         self.last_epoch_s = node.time_s
-        baro = min(self._baro, key=lambda one: abs(one.time_s - node.time_s), default=None)
-        if baro is not None and abs(baro.time_s - node.time_s) <= _BARO_NEAR_S:
-            value = baro.altitude_m + node.alt_m - baro.indicated_m
+        value = self.barometer.at(node.time_s, node.alt_m)
+        if value is not None:
             readings = (*readings, Measurement("baro_altitude", value, self.settings.sigma_of("baro_altitude_m")))
         attitude = self._attitude_at(node.time_s)
         return Epoch(node.time_s, node.lat_deg, node.lon_deg, node.alt_m, node.velocity_mps, attitude, tuple(readings))
@@ -232,10 +245,13 @@ class Assembly:
             self._odometer_m += speed * (time_s - self._velocity[0])
         if self._velocity is None or time_s > self._velocity[0]:
             self._velocity = time_s, velocity
-        hangs = self._hang("velocity", _TURNED_DEG).hangs(velocity, time_s, self._heading_deg)
-        if hangs and speed > 2.0:
+        hang = self._hang("velocity", _VEERED_DEG, _VELOCITY_HANGS_S)
+        if hang.hangs(velocity, time_s, self._heading_deg) and speed > _SLOW_MPS:
+            if not math.isfinite(self.track.doubtful_s):
+                self.track.doubtful_s = hang.since_s
             self._refused("velocity hangs", "the vehicle's velocity does not change although it turns")
             return
+        self._alive("velocity", time_s)
         if self.settings.ins_source == "velocity":
             self._reckon(time_s, velocity)
 
@@ -259,12 +275,26 @@ class Assembly:
         angles = word.roll_deg or 0.0, word.pitch_deg or 0.0, word.heading_deg
         if self._attitudes and time_s <= self._attitudes[-1].time_s:
             return
+        if self._attitude_hangs(time_s, angles):
+            return
+        self._alive("attitude", time_s)
         self._heading_deg = turned(self._heading_deg, word.heading_deg)
         self._attitudes.append(_Angle(time_s, angles, word.roll_deg is not None and word.pitch_deg is not None))
         while time_s - self._attitudes[0].time_s > KEPT_S:
             self._attitudes.popleft()
         if self.settings.ins_source == "airspeed" and self._air is not None and time_s - self._air[0] <= OLD_S:
             self._reckon(time_s, self._by_air(word.heading_deg, self._air[1]))
+
+    def _attitude_hangs(self, time_s: float, angles: Angles) -> bool:
+        """Whether the attitude stays as it is although the vehicle's course over ground turns."""
+        velocity = self._velocity
+        if velocity is not None and time_s - velocity[0] <= OLD_S and math.hypot(*velocity[1][:2]) > _SLOW_MPS:
+            course = math.degrees(math.atan2(velocity[1][1], velocity[1][0]))
+            self._course_deg = turned(self._course_deg, course)
+        if not self._hang("attitude", _TURNED_DEG).hangs(angles, time_s, self._course_deg):
+            return False
+        self._refused("attitude hangs", "the vehicle's attitude does not change although it turns")
+        return True
 
     def _by_air(self, heading_deg: float, air: AirData) -> tuple[float, float, float]:
         """Velocity over ground by airspeed, heading and wind; true airspeed by the standard atmosphere's density."""
@@ -285,21 +315,11 @@ class Assembly:
         node = self.track.at(time_s)
         if node is None:
             return
-        offset = self._baro_offset_m.get(word.source)
-        if offset is None:
-            seen = self._setting.setdefault(word.source, [])
-            seen.append((time_s, node.alt_m - word.altitude_m))
-            if len(seen) > 1 and time_s - seen[0][0] >= SETTING_S:
-                self._baro_offset_m[word.source] = median(value for _, value in seen)
-                self._setting[word.source] = []
-            return
-        if self._hang(f"pressure {word.source}", _CLIMBED_M).hangs((word.altitude_m,), time_s, node.alt_m):
+        done = self.barometer.hear(time_s, word.source, word.altitude_m, node.alt_m)
+        if done == "hangs":
             self._refused("barometer hangs", f"{word.source} repeats one pressure although the vehicle climbs or sinks")
-            return
-        if not self._baro or time_s > self._baro[-1].time_s:
-            self._baro.append(_Barometer(time_s, word.altitude_m + offset, node.alt_m))
-            while time_s - self._baro[0].time_s > OLD_S:
-                self._baro.popleft()
+        elif done == "heard":
+            self._alive("barometer", time_s)
 
     def _hear_range(self, time_s: float, word: Range) -> None:
         if word.range_m is None:
@@ -311,6 +331,7 @@ class Assembly:
                 f"{word.sensor} repeats {word.range_m:g} m although the vehicle moves; its readings are left out",
             )
             return
+        self._alive("altimeter", time_s)
         if not self._choice("range", OLD_S).hears(word.sensor, time_s, 0 if word.kind == "laser" else 1):
             return
         sigma = self.settings.sigma_of(f"{word.kind}_altitude_m")
@@ -339,13 +360,16 @@ class Assembly:
             since = self.track.newest_s
             self._pending = [one for one in self._pending if one[0] >= since]
 
+    def _alive(self, sensor: str, time_s: float) -> None:
+        self.heard_s[sensor] = max(time_s, self.heard_s.get(sensor, -math.inf))
+
     def _choice(self, what: str, silent_s: float) -> Choice:
         return self._choices.setdefault(what, Choice(silent_s))
 
-    def _hang(self, what: str, change: float) -> Hang:
+    def _hang(self, what: str, change: float, after_s: float | None = None) -> Hang:
         if len(self._hangs) >= _MOST_SENSORS and what not in self._hangs:
             self._hangs.pop(next(iter(self._hangs)))
-        return self._hangs.setdefault(what, Hang(self.settings.frozen_s, change))
+        return self._hangs.setdefault(what, Hang(self.settings.frozen_s if after_s is None else after_s, change))
 
     def _refused(self, key: str, text: str) -> None:
         if text:

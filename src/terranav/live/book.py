@@ -51,7 +51,8 @@ class Book:
         for key, one in list(self.standing.items()):
             if not one.lasting and self.now_s - one.last_s > QUIET_S:
                 lasted = one.last_s - one.since_s
-                self.ends(key, f"{key}: no more; it came {one.count} times within {lasted:.0f} s")
+                times = f"it came {one.count} times within {lasted:.0f} s" if one.count > 1 else "it came once"
+                self.ends(key, f"{key}: no more; {times}")
 
     def taken(self) -> list[Remark]:
         """The remarks since the last time."""

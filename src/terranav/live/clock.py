@@ -149,9 +149,8 @@ class SenderClock:
             if math.isnan(since) or abs(now - offset) > 1.0:
                 self._set_since = (time_s, now)
                 return 0.0
-            self._set_since = (since, min(offset, now))
             if time_s - since < _SURE_S:
                 return 0.0
-        self.offset_s = min(offset, now) if off > 0.0 else now
+        self.offset_s = now
         self._set_since = (math.nan, math.nan)
         return off

@@ -2,26 +2,19 @@
 
 A frame is whole when its checksum is right (CRC-16/MCRF4XX with the message's own extra byte). Messages that the
 dialect does not know have an unknown extra byte: they pass where another frame or nothing follows them.
-
-With a key only frames signed with it pass (MAVLink 2 signing: the first 6 bytes of SHA-256 over key, frame, link and
-time, in units of 10 us since 2015; a stream's time must rise, a new stream may be a minute behind the newest).
+Whether a frame is signed as it should be is `live.signing`'s to say.
 """
 
 from __future__ import annotations
 
 import binascii
-import hashlib
-import hmac
 from dataclasses import dataclass, field
 from typing import Any
 
-from terranav.core.errors import ConfigError
 from terranav.live.mavlink_in import dialect
 
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED, _SIGNATURE = 1, 13
-_MINUTE = 60 * 100_000  # in units of 10 us
-_MOST_STREAMS = 64
 _LONGEST_LINE = 1024
 _MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
@@ -38,24 +31,15 @@ class Deframer:
 
     Attributes
     ----------
-    key : bytes, optional
-        32 bytes; then unsigned frames, and frames signed otherwise, are refused.
     garbage : int
         Bytes that belonged to no frame.
-    refused : int
-        Whole frames without a right signature.
     """
 
-    key: bytes | None = field(default=None, repr=False)
     garbage: int = 0
-    refused: int = 0
     _rest: bytes = field(default=b"", repr=False)
-    _streams: dict[tuple[int, int, int], int] = field(default_factory=dict, repr=False)
     _extras: dict[int, int] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        if self.key is not None and len(self.key) != 32:
-            raise ConfigError(f"signing key has {len(self.key)} bytes, expected 32")
         known: Any = dialect().mavlink_map
         self._extras = {number: message.crc_extra for number, message in known.items()}
 
@@ -77,10 +61,7 @@ class Deframer:
                 at += 1
                 continue
             at += length
-            if self.key is None or self._signed(frame, self.key):
-                frames.append(frame)
-            else:
-                self.refused += 1
+            frames.append(frame)
         self._rest = rest[at:]
         return frames
 
@@ -96,24 +77,6 @@ class Deframer:
         end = len(frame) - (_SIGNATURE if second and frame[2] & _SIGNED else 0)
         told = frame[end - 2] | frame[end - 1] << 8
         return told == crc(frame[1 : end - 2], extra)
-
-    def _signed(self, frame: bytes, key: bytes) -> bool:
-        """Whether a frame is signed with the key, and newer than the last of its stream."""
-        if frame[0] != _V2 or not frame[2] & _SIGNED:
-            return False
-        # the signature first: a forged frame must not move the stream's time
-        if not hmac.compare_digest(hashlib.sha256(key + frame[:-6]).digest()[:6], frame[-6:]):
-            return False
-        stamp = int.from_bytes(frame[-12:-6], "little")
-        stream = frame[-13], frame[5], frame[6]
-        before = self._streams.get(stream)
-        newest = max(self._streams.values(), default=0)
-        if stamp + _MINUTE < newest if before is None else stamp <= before:
-            return False
-        if before is None and len(self._streams) >= _MOST_STREAMS:
-            self._streams.pop(min(self._streams, key=lambda one: self._streams[one]))
-        self._streams[stream] = stamp
-        return True
 
 
 @dataclass

@@ -27,8 +27,12 @@ from terranav.live.navigator import Memory, Navigator
 from terranav.live.nmea_in import NmeaIn
 from terranav.live.records import Fix, Packet, Remark
 from terranav.live.settings import LiveSettings
+from terranav.live.track import Break
 from terranav.maps.map import Map
 
+_PATIENCE_S = 10.0  # before it is said what is missing
+NAVIGATOR_FAULT = "navigator fault"
+_FAULT_SPREAD_M = 100.0  # added to the error of a navigator that failed, whatever it failed of
 _LOOK_EVERY_S = 1.0  # ahead, for the end of the map
 _WORST_SIGMA_M = 1e7
 
@@ -44,6 +48,7 @@ class _State:
     packets: int = 0
     alien: int = 0
     damaged: int = 0
+    rejected: dict[str, int] = field(default_factory=dict)  # what was refused -> how many times
     fixes: int = 0
     usable: int = 0
     offered: bool = False
@@ -93,8 +98,10 @@ class Engine:
             if heard is not None:
                 self._hear(heard, packet)
         made = [self._fix(epoch) for epoch in state.assembly.epochs(state.listening.clock.newest_s)]
+        self._watch_sensors()
+        self._watch_start()
         state.book.settle()
-        return [*state.book.taken(), *made]
+        return [*state.book.taken(), *(fix for fix in made if fix is not None)]
 
     def _heard(self, data: bytes) -> Heard | None:
         """What a message says, by its first byte."""
@@ -132,8 +139,30 @@ class Engine:
                 text = f"reckons by {self.settings.ins_source} from {node.lat_deg:.5f} N, {node.lon_deg:.5f} E"
                 book.say("info", "start", text)
         for key, text in assembly.notes:
+            state.rejected[key] = state.rejected.get(key, 0) + 1
             book.begins("warning", key, text, lasting=False)
         assembly.notes.clear()
+
+    def _watch_sensors(self) -> None:
+        """Sensors that were heard and are silent, and those that are back."""
+        state, newest = self._state, self._state.listening.clock.newest_s
+        for sensor, last_s in state.assembly.heard_s.items():
+            key = f"{sensor} silent"
+            if newest - last_s > self.settings.silent_s:
+                text = f"{sensor}: nothing that can be used for {newest - last_s:.1f} s"
+                state.book.begins("warning", key, text)
+            elif key in state.book.standing:
+                state.book.ends(key, f"{sensor}: readings are back")
+
+    def _watch_start(self) -> None:
+        """Say what is missing when nothing begins."""
+        state = self._state
+        book, assembly = state.book, state.assembly
+        if assembly.started:
+            book.ends("no start", "reckoning has a start")
+        elif state.listening.clock.running and book.now_s > _PATIENCE_S:
+            missing = assembly.missing()
+            book.begins("warning", "no start", f"reckoning by {self.settings.ins_source} waits for {missing}")
 
     def _break(self) -> None:
         """Reckoning broke: start the navigator anew from where it was last known to be."""
@@ -145,12 +174,18 @@ class Engine:
         text = (
             f"reckoning broke for {broken.gap_s:.1f} s: up to {broken.spread_m:.0f} m per axis are added to its error"
         )
-        state.book.say("warning", "reckoning broke", text)
+        state.book.begins("warning", "reckoning broke", text, lasting=False)
 
-    def _fix(self, epoch: Epoch) -> Fix:
-        """Step the navigator, and what is said of it."""
+    def _fix(self, epoch: Epoch) -> Fix | None:
+        """Step the navigator, and what is said of it; None where it failed, which must not end a flight."""
         state = self._state
-        estimate = self._navigator.step(epoch)
+        try:
+            estimate = self._navigator.step(epoch)
+        except (ArithmeticError, IndexError, ValueError, np.linalg.LinAlgError) as problem:
+            text = f"the navigator failed and starts anew: {type(problem).__name__}: {' '.join(str(problem).split())}"
+            state.book.begins("error", NAVIGATOR_FAULT, text, lasting=False)
+            self._navigator.restart(state.assembly.track, Break(0.0, _FAULT_SPREAD_M))
+            return None
         fix = self._made(self._navigator.memory.epoch or epoch, estimate)
         state.fix = fix
         state.fixes += 1
@@ -200,13 +235,18 @@ class Engine:
         if fix.velocity_mps is None or not math.isfinite(fix.lat_deg + fix.lon_deg):
             return
         within = self.settings.warn_ahead_s
-        ends_s = map_ends_s(self._navigator.maps, (fix.lat_deg, fix.lon_deg), fix.velocity_mps[:2], within)
+        ends_s = map_ends_s(self._navigator.answering, (fix.lat_deg, fix.lon_deg), fix.velocity_mps[:2], within)
         book = self._state.book
+        if ends_s == 0.0:
+            book.ends("map ends ahead", "the map has ended")
+            book.begins("warning", "off map", "no map says anything here")
+            return
+        book.ends("off map", "a map says something here again")
         if math.isfinite(ends_s):
             away = math.hypot(*fix.velocity_mps[:2]) * ends_s
             text = f"the map ends, or has a void, in {ends_s:.0f} s ({away / 1000.0:.1f} km ahead)"
             book.begins("warning", "map ends ahead", text)
-        elif "map ends ahead" in book.standing:
+        else:
             book.ends("map ends ahead", f"the map goes on for the next {within:.0f} s")
 
     @property
@@ -267,7 +307,8 @@ def facts_of(state: _State, settings: LiveSettings) -> dict[str, Any]:
         "duplicates": listening.doubled,
         "damaged": state.damaged,
         "not_understood": state.alien,
-        "readings": {**assembly.counts, "spared": state.memory.spared},
+        "rejected": {"impossible value": listening.impossible, **state.rejected},
+        "readings": {**assembly.counts, "spared": state.memory.spared, "odd": state.memory.odd},
         "fixes": state.fixes,
         "usable": state.usable,
         "usable_share": state.usable / state.fixes if state.fixes else 0.0,
@@ -279,6 +320,7 @@ def facts_of(state: _State, settings: LiveSettings) -> dict[str, Any]:
         "system_id": listening.vehicle[0] if listening.vehicle else None,
         "component_id": listening.vehicle[1] if listening.vehicle else None,
         "autopilot": AUTOPILOTS.get(listening.autopilot, "other") if listening.autopilot is not None else None,
+        "utc_us": None if listening.utc_offset_us is None else listening.utc_offset_us + round(newest * 1e6),
         "gnss": None if receiver is None else {"fix": receiver[1].fix, "age_s": newest - receiver[0]},
         "remarks": sorted(state.book.standing),
     }

@@ -6,15 +6,16 @@ import math
 from dataclasses import dataclass, field
 
 from terranav.live.book import Book
-from terranav.live.clock import DAY_S, LATE_S, SenderClock
+from terranav.live.clock import LATE_S, SenderClock
 from terranav.live.heard import Attitude, Beat, Gnss, Heard, Position, UnixTime, Velocity, Word
 from terranav.live.records import Packet
 
 GROUND_STATIONS = 250
 AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
-_RECENT = 512  # frames among which a double is looked for
+_RECENT = 200  # frames among which a double is looked for: after 256 a message without a time is the same again
 _MOST_SENDERS, _MOST_NAMES, _MOST_LINKS = 64, 100, 64
-_HOST_STEP_S, _PAUSE_S = 60.0, 5.0
+_HOST_STEP_S, _PAUSE_S = 120.0, 1.0
+_STANDS_S = 3.0
 
 
 @dataclass(slots=True)
@@ -55,7 +56,10 @@ class Listening:
     autopilot, vehicle_type : int or None
     gnss : (time, Gnss) or None
         The receiver's latest word.
-    lost, doubled : int
+    utc_offset_us : int or None
+        UTC as the vehicle knows it less the time [us].
+    lost, doubled, impossible : int
+        Messages; fields that cannot be.
     """
 
     system_id: int | None
@@ -65,19 +69,20 @@ class Listening:
     autopilot: int | None = None
     vehicle_type: int | None = None
     gnss: tuple[float, Gnss] | None = None
-    unix_less_time_us: int | None = None
+    utc_offset_us: int | None = None
     lost: int = 0
     doubled: int = 0
+    impossible: int = 0
     links: dict[int, Rate] = field(default_factory=dict)
     names: dict[str, Rate] = field(default_factory=dict)
     dead: set[int] = field(default_factory=set)
     restarted: bool = False
     _now_s: float = 0.0
+    _stands: tuple[float, float] = (-1.0, 0.0)  # the vehicle's clock, and since when it says that
     _stamp_us: int = 0
     _recent: dict[bytes, None] = field(default_factory=dict)
     _sequences: dict[tuple[int, int], int] = field(default_factory=dict)
     _others: dict[tuple[int, int], SenderClock] = field(default_factory=dict)
-    _by_day: bool = False
 
     @property
     def speaks_mavlink(self) -> bool:
@@ -119,12 +124,13 @@ class Listening:
     def words(self, heard: Heard, packet: Packet, book: Book) -> list[tuple[float, Word]]:
         """The words of a message with their times; none where it is another's, or of no time."""
         self._count(heard)
+        self.impossible += len(heard.rejected)
         for text in heard.rejected:
             book.begins("warning", "impossible value", f"{text}; such fields are left out", lasting=False)
         mavlink = heard.sequence is not None
         if mavlink and not self._known(heard, book):
             return []
-        time_s = self._time_of(heard, packet, book) if mavlink else self._nmea_time(heard, packet, book)
+        time_s = self._time_of(heard, packet, book) if mavlink else self._nmea_time(packet, book)
         if time_s is None:
             return []
         words: list[tuple[float, Word]] = []
@@ -132,7 +138,7 @@ class Listening:
             if isinstance(word, Gnss):
                 self.gnss = time_s, word
             elif isinstance(word, UnixTime):
-                self.unix_less_time_us = word.unix_us - round(time_s * 1e6)
+                self.utc_offset_us = word.unix_us - round(time_s * 1e6)
             elif not isinstance(word, Beat):
                 words.append((time_s, word))
         return words
@@ -160,7 +166,9 @@ class Listening:
         beat = next((word for word in heard.words if isinstance(word, Beat)), None)
         leads = beat is not None or any(isinstance(word, (Position, Velocity, Attitude)) for word in heard.words)
         if self.vehicle is None:
-            if not leads or system >= GROUND_STATIONS or (told is not None and system != told):
+            # a camera's mount tells an attitude too, and is no vehicle
+            speaks = beat is not None or any(isinstance(word, Position) for word in heard.words)
+            if not speaks or system >= GROUND_STATIONS or (told is not None and system != told):
                 return False
             self.vehicle = system, component
             book.say("info", "vehicle", f"hears vehicle {system}, component {component}")
@@ -203,31 +211,27 @@ class Listening:
         tick = other.tick(heard.clock_s, host_s)
         return None if tick.time_s is None else self.clock.time_of(other.host_us(tick.time_s) * 1e-6)
 
-    def _nmea_time(self, heard: Heard, packet: Packet, book: Book) -> float | None:
-        """The time of a sentence: of the day where it or one before it says so; else by when it came in."""
+    def _nmea_time(self, packet: Packet, book: Book) -> float | None:
+        """The time of a sentence is when it came in: most have none, and those that do stop with the receiver."""
         host_s = packet.stamp_us * 1e-6
         if self.speaks_mavlink:
             return self.clock.time_of(host_s) if self.clock.running else None
-        if heard.clock_s is not None:
-            if not self._by_day:
-                shift = self.clock.newest_s - heard.clock_s if self.clock.running else 0.0
-                self.clock = SenderClock(DAY_S, shift, self.clock.newest_s)
-                self._by_day = True
-                if math.isfinite(self.clock.newest_s):
-                    self.clock.offset_s = host_s - self.clock.newest_s
-            return self._ticked(self.clock, heard.clock_s, host_s, book)
-        if self._by_day:
-            return self.clock.time_of(host_s)
         return self._ticked(self.clock, self._now_s, host_s, book)
 
     def _ticked(self, clock: SenderClock, clock_s: float, host_s: float, book: Book) -> float | None:
         """Tick the vehicle's clock and remark on what it does."""
+        if clock_s == self._stands[0]:
+            if self._now_s - self._stands[1] > _STANDS_S:
+                text = f"the vehicle's clock stands still at {clock_s:.3f} s, so that nothing it says has a time"
+                book.begins("error", "clock stands still", text, lasting=False)
+        else:
+            self._stands = clock_s, self._now_s
         tick = clock.tick(clock_s, host_s)
         if tick.event == "host step":
-            text = f"this computer's clock was set by {tick.amount_s:+.1f} s; the vehicle's clock carries on"
-            book.say("warning", "clock step", text)
+            text = f"this computer's clock was set by {tick.amount_s:+.1f} s; time goes on as before"
+            book.begins("warning", "clock step", text, lasting=False)
         elif tick.event:
             self.restarted = True
             text = f"the vehicle's clock leapt by {tick.amount_s:+.1f} s: it started again; so does what is measured"
-            book.say("warning", "vehicle restarted", text)
+            book.begins("warning", "vehicle restarted", text, lasting=False)
         return tick.time_s

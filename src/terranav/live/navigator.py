@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ from terranav.maps.map import Map
 from terranav.sensors.ready import ReadyState, made_ready
 
 _MEASURED = ("terrain", "bathymetry")  # the kinds of which live messages hold readings
+_NEIGHBOURS, _FEWEST_NEIGHBOURS = 5, 3
+_ODD_SIGMAS, _STEEPEST = 4.0, 1.0  # a reading is odd beyond; a slope of 45 degrees
 _LONGEST_S = 30.0  # a vehicle that stands still is not thought to hear nothing
 _GEOID_M = 200.0  # the geoid's height is looked up anew after so far; it slopes by less than 0.14 m per km
 
@@ -50,8 +53,10 @@ class Memory:
         What is added to altitudes here.
     used : Epoch or None
         The latest whose readings were used.
-    spared : int
-        Epochs whose readings were too near to those before.
+    spared, odd : int
+        Epochs whose readings were too near to those before; readings that lay apart from those around them.
+    recent : tuple of (kind, lat, lon, value)
+        The latest readings, used or not.
     """
 
     rng: Generator
@@ -65,6 +70,8 @@ class Memory:
     geoid: tuple[float, float, float] | None = None
     used: Epoch | None = None
     spared: int = 0
+    odd: int = 0
+    recent: tuple[tuple[str, float, float, float], ...] = ()
 
 
 class Navigator:
@@ -82,6 +89,7 @@ class Navigator:
         self.maps = tuple(maps)
         self.settings = settings
         kinds = {chart.kind for chart in self.maps}
+        self.answering = tuple(chart for chart in self.maps if chart.kind in _MEASURED)
         if needs_maps(settings.estimator) and not kinds & set(_MEASURED):
             raise ConfigError(
                 f"the maps are of kind {', '.join(sorted(kinds)) or 'none'}, expected terrain or bathymetry: "
@@ -119,13 +127,32 @@ class Navigator:
         if self.shift is not None:
             added = self._geoid_m(self.shift, epoch)
             epoch = replace(epoch, measurements=tuple(_raised(one, added) for one in epoch.measurements))
-        epoch = self._spaced(epoch)
+        epoch = self._spaced(self._even(epoch))
         if memory.state is None:
             memory.starts += 1
             memory.began_s = epoch.time_s if math.isnan(memory.began_s) else memory.began_s
         (memory.state,) = states(self.estimator, memory.prior, (epoch,), memory.rng, resume=memory.state)
         memory.epoch, memory.estimate = epoch, self.estimator.estimate(memory.state)
         return memory.estimate
+
+    def _even(self, epoch: Epoch) -> Epoch:
+        """The epoch without readings that the ground between them and their neighbours cannot explain.
+
+        What counts is the median of the latest few readings, so that a step of the ground is believed after three. A
+        sensor that reads seldom sees other ground each time, and nothing of it is odd.
+        """
+        memory, kept = self.memory, []
+        for reading in epoch.measurements:
+            near = [one for one in memory.recent if one[0] == reading.kind]
+            memory.recent = (*memory.recent, (reading.kind, epoch.lat_deg, epoch.lon_deg, reading.value))[-_NEIGHBOURS:]
+            if len(near) >= _FEWEST_NEIGHBOURS:
+                away_m = max(math.hypot(*offset_of(lat, lon, epoch.lat_deg, epoch.lon_deg)) for _, lat, lon, _ in near)
+                apart = abs(reading.value - median(value for _, _, _, value in near))
+                if apart > _ODD_SIGMAS * reading.sigma + _STEEPEST * away_m:
+                    memory.odd += 1
+                    continue
+            kept.append(reading)
+        return epoch if len(kept) == len(epoch.measurements) else replace(epoch, measurements=tuple(kept))
 
     def _spaced(self, epoch: Epoch) -> Epoch:
         """The epoch without its readings where the vehicle has hardly moved since the last that were used."""
@@ -152,7 +179,9 @@ class Navigator:
         """Start anew where the track broke: at the corrected position, as uncertain as the break makes it."""
         memory = self.memory
         estimate = memory.estimate
-        if estimate is None or memory.state is None:
+        spread = np.eye(2) * broken.spread_m**2
+        if estimate is None or memory.state is None:  # it has not started since the last break
+            memory.prior = replace(memory.prior, cov_m2=memory.prior.cov_m2 + spread)
             return
         known = estimate.status in (Status.CONVERGED, Status.DEGRADED)
         cov = np.array(estimate.cov_m2)
@@ -164,7 +193,7 @@ class Navigator:
             elapsed = track.newest_s - memory.began_s
             grown = self.grade.position_sigma_m**2 + self.grade.position_growth_m2(0.0, max(elapsed, 0.0))
             cov = np.eye(2) * max(grown, float(np.linalg.eigvalsh(cov)[-1]))
-        memory.prior = Prior(np.zeros(2), cov + np.eye(2) * broken.spread_m**2)
+        memory.prior = Prior(np.zeros(2), cov + spread)
         memory.state = None
         memory.ready = replace(memory.ready, barometer=None)
         memory.used = None

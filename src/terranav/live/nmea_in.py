@@ -2,7 +2,7 @@
 
 GGA, RMC: position (GGA with altitude), and the same as a receiver's word for monitors. HDT, THS: true heading. PASHR:
 attitude. VTG: course and speed over ground. VBW: speed through the water and over ground along and across the ship.
-DPT, DBT: depth. A sentence without a right checksum says nothing.
+DPT, DBT: depth. Times of day are not read: most sentences have none. A sentence without a right checksum says nothing.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import importlib
 import math
 import re
 from collections.abc import Callable, Iterator
-from datetime import time
 from typing import Any
 
 from terranav.core.errors import ConfigError
@@ -48,13 +47,7 @@ class NmeaIn:
             words = tuple(reader(parsed, rejected)) if reader is not None else ()
         except Exception:  # noqa: BLE001 - pynmeagps raises what the damaged text leads it to
             return None
-        stamp = getattr(parsed, "time", getattr(parsed, "utctime", None))
-        clock = _seconds(stamp) if isinstance(stamp, time) else None
-        return Heard(kind, clock_s=clock, words=words, rejected=tuple(rejected))
-
-
-def _seconds(stamp: time) -> float:
-    return stamp.hour * 3600.0 + stamp.minute * 60.0 + stamp.second + stamp.microsecond * 1e-6
+        return Heard(kind, words=words, rejected=tuple(rejected))
 
 
 def _number(parsed: Any, rejected: list[str], name: str, low: float, high: float) -> float | None:

@@ -62,6 +62,10 @@ class Track:
         Latest altitude told; NaN before any.
     offset_m : (north, east)
         Leaps left out so far: what the vehicle's position is ahead of the track.
+    restarted : bool
+        The next node does not follow the last.
+    doubtful_s : float
+        Nodes since then were made of velocities that hung; NaN when none were [s].
     """
 
     by_position: bool
@@ -71,6 +75,7 @@ class Track:
     alt_m: float = math.nan
     offset_m: tuple[float, float] = (0.0, 0.0)
     restarted: bool = False
+    doubtful_s: float = math.nan
     _alt_s: float = math.nan
     _doubt_s: dict[str, float] = field(default_factory=dict)  # what was refused -> since when
 
@@ -82,7 +87,7 @@ class Track:
     def begin(self, time_s: float, place: tuple[float, float], velocity: Triple) -> None:
         """Start here; whatever was before is forgotten."""
         self.nodes.clear()
-        self.offset_m, self.restarted = (0.0, 0.0), False
+        self.offset_m, self.restarted, self.doubtful_s = (0.0, 0.0), False, math.nan
         self.nodes.append(Node(time_s, *place, self.alt_m, velocity))
 
     def moved(self, lat_deg: float, lon_deg: float) -> None:
@@ -113,15 +118,19 @@ class Track:
         if step <= 0.0:
             return None, ""
         change = math.dist(velocity, last.velocity_mps)
-        fast = math.hypot(*velocity) > self.max_speed_mps
-        if fast or (change > _SLACK_MPS + _SHARPEST_MPS2 * step and not self._insisted("velocity", time_s)):
-            return None, f"velocity leaps by {change:.0f} m/s in {step:.2f} s" if not fast else "velocity too fast"
-        insisted = self._doubt_s.pop("velocity", None) is not None
+        if math.hypot(*velocity) > self.max_speed_mps:
+            return None, f"velocity of {math.hypot(*velocity):.0f} m/s, expected at most {self.max_speed_mps:g} m/s"
+        leaps = change > _SLACK_MPS + _SHARPEST_MPS2 * step
+        if leaps and not self._insisted("velocity", time_s):
+            return None, f"velocity leaps by {change:.0f} m/s in {step:.2f} s"
+        self._doubt_s.pop("velocity", None)
         lat, lon = self._carried(last, step, velocity)
         self._append(Node(time_s, lat, lon, self._alt_at(last, time_s, velocity), velocity))
-        if step <= self.max_gap_s and not self.restarted and not insisted:
+        hung = math.isfinite(self.doubtful_s)
+        if step <= self.max_gap_s and not self.restarted and not leaps and not hung:
             return None, ""
-        self.restarted = False
+        step = max(step, time_s - self.doubtful_s) if hung else step
+        self.restarted, self.doubtful_s = False, math.nan
         speed = max(math.hypot(*velocity[:2]), math.hypot(*last.velocity_mps[:2]))
         return Break(step, max(min(0.25 * ACCEL_MPS2 * step**2, speed * step), 1.0)), ""
 
