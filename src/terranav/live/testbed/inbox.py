@@ -94,7 +94,7 @@ class Inbox:
         if self.autopilot == "px4":
             self.parameters |= {"MAV_SYS_ID": float(self._system), "EKF2_AGP0_CTRL": 1.0, "EKF2_AGP0_NOISE": 0.9}
         else:
-            self.parameters |= {"VISO_TYPE": 3.0, "EK3_SRC1_POSXY": 6.0, "EK3_SRC1_VELXY": 0.0, "GPS1_TYPE": 1.0}
+            self.parameters |= {"VISO_TYPE": 1.0, "EK3_SRC1_POSXY": 6.0, "EK3_SRC1_VELXY": 0.0, "GPS1_TYPE": 1.0}
         self._answers: dict[str, Callable[[Any], None]] = {
             "PARAM_REQUEST_LIST": self._all_parameters,
             "PARAM_REQUEST_READ": self._parameter,
