@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from terranav.app.console import INCOMPLETE, OK, complain, one_line, show_json, show_pairs
 from terranav.app.given import ins_from
-from terranav.app.words import duration, percent
+from terranav.app.words import duration, moment, percent
 from terranav.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ class Told:
     rate_hz: float
     sigma: Mapping[str, float]
     geoids: Sequence[Geoid]
+    monitor: bool = False
 
     def settings(self) -> LiveSettings:
         """The settings; ConfigError for what cannot be."""
@@ -56,6 +57,7 @@ class Told:
             rate_hz=self.rate_hz,
             sigma=self.sigma,
             geoid=list(self.geoids) or None,
+            monitor=self.monitor,
         )
 
 
@@ -149,6 +151,8 @@ def in_one_line(facts: Mapping[str, Any]) -> str:
         f"usable {percent(_share(facts))}",
         f"sent {sent}",
     ]
+    if engine["monitor"]:
+        parts.append(f"GNSS {engine['monitor']['status']}")
     if engine["withheld"]:
         parts.append(f"withheld: {engine['withheld'][0]}")
     if facts["since_measured"]:
@@ -173,6 +177,8 @@ def summary(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "heard", heard
     last = engine["status"] or "nothing to navigate by"
     yield "fixes", f"{facts['fixes']}, usable {percent(_share(facts), 1)}; at the end {last}"
+    if engine["monitor"]:
+        yield "GNSS", gnss_line(engine["monitor"])
     for name, output in facts["outputs"].items():
         held = ", ".join(
             f"{count} {reason}" for reason, count in sorted(output["held"].items(), key=lambda one: -one[1])
@@ -188,6 +194,17 @@ def summary(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if facts["recording_failed"]:
         yield "recording", facts["recording_failed"]
     yield "digest", facts["digest"]
+
+
+def gnss_line(said: Mapping[str, Any]) -> str:
+    """What the GNSS monitor says at the end, and how often it raised an alarm."""
+    since = "" if said["since_s"] is None else f" since {moment(said['since_s'])}"
+    line = f"{said['status']}{since}: {'; '.join(said['reasons']).removeprefix('GNSS is ')}"
+    first = said["first_alarm"]
+    if first is None:
+        return f"{line}; no alarm"
+    count = f"{said['alarms']} alarms, the first" if said["alarms"] > 1 else "1 alarm"
+    return f"{line}; {count} at {moment(first['at_s'])} ({first['status']})"
 
 
 def _show(pairs: list[tuple[str, str]], *, to_stderr: bool) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from terranav.live.nmea_in import NmeaIn
 from terranav.live.records import Fix, Packet, Remark
 from terranav.live.settings import LiveSettings
 from terranav.live.track import Break
+from terranav.live.watching import Watching
 from terranav.maps.map import Map
 
 _PATIENCE_S = 10.0  # before it is said what is missing
@@ -54,6 +55,7 @@ class _State:
     offered: bool = False
     looked_s: float = -math.inf
     fix: Fix | None = None
+    watching: Watching | None = None
 
 
 class Engine:
@@ -79,6 +81,7 @@ class Engine:
         self._digest = settings.digest(self._navigator.maps)
         listening = Listening(settings.system_id, settings.silent_s)
         self._state = _State(listening, Assembly(settings), self._navigator.memory)
+        self._state.watching = Watching.of(settings.grade) if settings.monitor else None
 
     def feed(self, packet: Packet) -> list[Fix | Remark]:
         """Hear one packet; what there is to say because of it, in order.
@@ -91,8 +94,8 @@ class Engine:
         state = self._state
         state.packets += 1
         wanted = state.listening.arrives(packet, state.book)
-        if state.packets == 1 and self._navigator.doubt:
-            state.book.say("warning", "vertical datum", self._navigator.doubt)
+        if state.packets == 1:
+            self._introduce()
         if wanted:
             heard = self._heard(packet.data)
             if heard is not None:
@@ -102,6 +105,14 @@ class Engine:
         self._watch_start()
         state.book.settle()
         return [*state.book.taken(), *(fix for fix in made if fix is not None)]
+
+    def _introduce(self) -> None:
+        """Say what is to be known from the start."""
+        state = self._state
+        if self._navigator.doubt:
+            state.book.say("warning", "vertical datum", self._navigator.doubt)
+        if state.watching is not None:
+            state.watching.introduce(self.settings.ins_source, state.book)
 
     def _heard(self, data: bytes) -> Heard | None:
         """What a message says, by its first byte."""
@@ -170,11 +181,18 @@ class Engine:
         broken, state.assembly.broken = state.assembly.broken, None
         if broken is None:
             return
-        self._navigator.restart(state.assembly.track, broken)
+        self._restart(broken)
         text = (
             f"reckoning broke for {broken.gap_s:.1f} s: up to {broken.spread_m:.0f} m per axis are added to its error"
         )
         state.book.begins("warning", "reckoning broke", text, lasting=False)
+
+    def _restart(self, broken: Break) -> None:
+        """Start the navigator anew, and with it what is known of the reckoning."""
+        state = self._state
+        self._navigator.restart(state.assembly.track, broken)
+        if state.watching is not None:
+            state.watching.restart(state.memory.prior)
 
     def _fix(self, epoch: Epoch) -> Fix | None:
         """Step the navigator, and what is said of it; None where it failed, which must not end a flight."""
@@ -184,9 +202,10 @@ class Engine:
         except (ArithmeticError, IndexError, ValueError, np.linalg.LinAlgError) as problem:
             text = f"the navigator failed and starts anew: {type(problem).__name__}: {' '.join(str(problem).split())}"
             state.book.begins("error", NAVIGATOR_FAULT, text, lasting=False)
-            self._navigator.restart(state.assembly.track, Break(0.0, _FAULT_SPREAD_M))
+            self._restart(Break(0.0, _FAULT_SPREAD_M))
             return None
-        fix = self._made(self._navigator.memory.epoch or epoch, estimate)
+        epoch = self._navigator.memory.epoch or epoch
+        fix = self._watched(epoch, self._made(epoch, estimate))
         state.fix = fix
         state.fixes += 1
         state.usable += fix.usable
@@ -229,6 +248,13 @@ class Engine:
             estimate.usable and sound,
             reasons,
         )
+
+    def _watched(self, epoch: Epoch, fix: Fix) -> Fix:
+        """The fix with what is said of GNSS, where that is watched."""
+        state = self._state
+        if state.watching is None:
+            return fix
+        return replace(fix, gnss=state.watching.step(epoch, fix.estimate, state.listening.gnss, state.book))
 
     def _look_ahead(self, fix: Fix) -> None:
         """Warn where the map ends ahead, in time."""
@@ -322,5 +348,6 @@ def facts_of(state: _State, settings: LiveSettings) -> dict[str, Any]:
         "autopilot": AUTOPILOTS.get(listening.autopilot, "other") if listening.autopilot is not None else None,
         "utc_us": None if listening.utc_offset_us is None else listening.utc_offset_us + round(newest * 1e6),
         "gnss": None if receiver is None else {"fix": receiver[1].fix, "age_s": newest - receiver[0]},
+        "monitor": None if state.watching is None else state.watching.facts(),
         "remarks": sorted(state.book.standing),
     }

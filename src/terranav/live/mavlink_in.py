@@ -241,7 +241,7 @@ def _beat(message: Any, fields: _Fields) -> Iterator[Word]:
 _READERS: dict[int, tuple[str, str, Reader]] = {
     0: ("HEARTBEAT", "", _beat),
     2: ("SYSTEM_TIME", "time_boot_ms", _time),
-    24: ("GPS_RAW_INT", "", _gps),
+    24: ("GPS_RAW_INT", "time_usec", _gps),
     29: ("SCALED_PRESSURE", "time_boot_ms", _pressure),
     30: ("ATTITUDE", "time_boot_ms", _attitude),
     32: ("LOCAL_POSITION_NED", "time_boot_ms", _local_position),

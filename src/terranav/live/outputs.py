@@ -18,7 +18,7 @@ from terranav.live.autopilot import Autopilot
 from terranav.live.mavlink_out import Encoder
 from terranav.live.nmea_out import sentences
 from terranav.live.outgoing import Offer, Pace, offer
-from terranav.live.recorder import as_line
+from terranav.live.recorder import as_line, gnss_of
 from terranav.live.records import Fix
 from terranav.live.wires import Wire
 
@@ -254,9 +254,9 @@ class JsonOutput:
         if isinstance(made, str):
             self.held[made] += 1
             told = {"stamp_us": fix.stamp_us, "usable": False, "status": str(fix.estimate.status)}
-            self._write(as_line({**told, "withheld": list(fix.withheld) or [made]}))
+            self._write(as_line({**told, "withheld": list(fix.withheld) or [made], **gnss_of(fix)}))
             return False
-        if not self._write(as_line(position(made))):
+        if not self._write(as_line({**position(made), **gnss_of(fix)})):
             self.held["nobody is connected"] += 1
             return False
         self.sent += 1

@@ -28,6 +28,7 @@ from terranav.live.records import Fix, Packet, Remark
 RECEIVED, FIXES, REMARKS, SENT = "received.tnrec", "fixes.jsonl", "remarks.jsonl", "sent"
 _STAMP = struct.Struct(">Q")
 _FIX = struct.Struct("<qq5d?")
+_VERDICT = struct.Struct("<3d")
 _TAIL_BYTES = 1 << 16
 
 
@@ -61,14 +62,30 @@ def facts_of(fix: Fix) -> dict[str, Any]:
         "withheld": list(fix.withheld),
         "ins_error_m": [float(error) for error in estimate.ins_error_m],
         "velocity_mps": None if fix.velocity_mps is None else [float(speed) for speed in fix.velocity_mps],
+        **gnss_of(fix),
     }
 
 
+def gnss_of(fix: Fix) -> dict[str, Any]:
+    """What the GNSS monitor says with a fix, under the name 'gnss'; nothing without a monitor."""
+    said = fix.gnss
+    if said is None:
+        return {}
+    return {"gnss": {"status": str(said.status), "difference_m": said.difference_m, "threshold_m": said.threshold_m}}
+
+
 def chained(digest: bytes, fix: Fix) -> bytes:
-    """The digest of all fixes up to this one, from the digest up to the one before: SHA-256 over it and the bits."""
+    """The digest of all fixes up to this one, from the digest up to the one before: SHA-256 over it and the bits.
+
+    What the GNSS monitor says belongs to them, where there is one.
+    """
     boot_us = -1 if fix.boot_us is None else fix.boot_us
     numbers = (fix.lat_deg, fix.lon_deg, fix.alt_m, *fix.sigma_m)
-    return hashlib.sha256(digest + _FIX.pack(fix.stamp_us, boot_us, *numbers, fix.usable)).digest()
+    told = _FIX.pack(fix.stamp_us, boot_us, *numbers, fix.usable)
+    if fix.gnss is not None:
+        said = fix.gnss
+        told += said.status.encode() + _VERDICT.pack(said.since_s, said.difference_m, said.threshold_m)
+    return hashlib.sha256(digest + told).digest()
 
 
 class Recorder:

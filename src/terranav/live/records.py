@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from terranav.core.records import Estimate
+from terranav.integrity.gnss_records import GnssVerdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,8 @@ class Fix:
     usable : bool
         The estimate is usable and everything above is finite. Otherwise `withheld` says why not.
     withheld : tuple of str
+    gnss : GnssVerdict or None
+        What the GNSS monitor says at that epoch, None without one.
     """
 
     stamp_us: int
@@ -63,6 +66,7 @@ class Fix:
     estimate: Estimate
     usable: bool
     withheld: tuple[str, ...] = ()
+    gnss: GnssVerdict | None = None
 
 
 @dataclass(frozen=True, slots=True)

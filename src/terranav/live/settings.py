@@ -75,6 +75,8 @@ class LiveSettings:
         How far ahead the end of the map is looked for [s]; 0 looks for none.
     max_speed_mps : float
         Faster the vehicle cannot be [m/s].
+    monitor : bool
+        Whether GNSS is watched (`watching`); no fix depends on it.
 
     Raises
     ------
@@ -102,12 +104,15 @@ class LiveSettings:
     sigma_floor_m: float = 1.0
     warn_ahead_s: float = 60.0
     max_speed_mps: float = 350.0
+    monitor: bool = False
 
     def __post_init__(self) -> None:
         if self.ins_source not in GRADES:
             unknown_name("ins_source", str(self.ins_source), GRADES)
         if self.ins is not None and not isinstance(self.ins, InsGrade):
             raise ConfigError(f"ins is {self.ins!r}, expected an InsGrade")
+        if not isinstance(self.monitor, bool):
+            raise ConfigError(f"monitor is {self.monitor!r}, expected True or False")
         check_name(self.estimator)
         check_seed(self.seed)
         for key, value in self.sigma.items():

@@ -117,6 +117,14 @@ def live(
             help="1-sigma of radar_altitude_m, laser_altitude_m, baro_altitude_m or depth_m. Repeatable.",
         ),
     ] = None,
+    monitor: Annotated[
+        bool,
+        typer.Option(
+            "--monitor",
+            help="Watch GNSS too: say when it is spoofed or jammed. Best --by airspeed, or --by position of a free "
+            "inertial one: an autopilot's velocity follows the GNSS that it fuses.",
+        ),
+    ] = False,
     estimator: Annotated[str, typer.Option(metavar="NAME", help="Method; see: terranav estimators.")] = "marginalized",
     settings: Annotated[
         list[str] | None,
@@ -144,7 +152,7 @@ def live(
     from terranav.live.signing import read_key
 
     told = Told(by, ins, start, wind, system, estimator, settings_from(settings or ()), seed, epochs,
-                sigmas_from(sigmas or ()), geoids_from(geoid or ()))  # fmt: skip
+                sigmas_from(sigmas or ()), geoids_from(geoid or ()), monitor)  # fmt: skip
     plan = Plan(
         inputs(links or ()),
         () if check else outputs(outs or ()),
