@@ -9,6 +9,7 @@ import numpy as np
 from terranav.kernels.jit import jit
 
 NO_VARIANCE = 1e-12  # of the larger variance of the position: what is less is none
+ROUNDING = 1e-14  # share of a variance below which a difference from it is but rounding
 
 
 @jit
@@ -100,8 +101,10 @@ def conditioned(phi, q, common):
         for j in range(d):
             grown[i, j] += q[i, j]
     values, vectors = eigen2(grown[0, 0], grown[0, 1], grown[1, 1])
+    condition = 1.0
     for k in range(2):
         if values[k] > max(NO_VARIANCE * values[1], 0.0):  # none where no time passes, or nothing drifts
+            condition = max(condition, values[1] / values[k])
             for i in range(2):
                 root[i, k] = vectors[i, k] * math.sqrt(values[k])
                 for j in range(2):
@@ -115,7 +118,39 @@ def conditioned(phi, q, common):
             two = grown[j, i] - carry[j, 0] * grown[0, i] - carry[j, 1] * grown[1, i]
             after[i, j] = 0.5 * (one + two)
             after[j, i] = after[i, j]
+    _without_rounding(grown, ROUNDING * condition, after)
     return spread, after
+
+
+@jit
+def _without_rounding(cov, least, left):
+    """Take out of `left`, a difference from cov, what is but rounding; where there is none, nothing changes.
+
+    An INS without random walk moves by its velocity alone, so the positions tell it exactly. What a subtraction leaves
+    of its variance is rounding of either sign, which its covariance with other states does not fit. Taken for knowledge
+    and divided by at the next step, it would make anything of their variances. A state of which, given the positions
+    and the states before it, no more than the share `least` of its variance in cov is left, is made a function of them.
+    """
+    d, found = len(cov), False
+    factor = left.copy()  # column i becomes the covariance of the states with i, given those before i
+    for i in range(2, d):
+        known = not factor[i, i] > max(least * cov[i, i], 0.0)
+        for j in range(i, d):
+            if known:
+                found = found or factor[j, i] != 0.0
+                factor[j, i] = 0.0
+            elif j > i:
+                share = factor[j, i] / factor[i, i]
+                for k in range(i + 1, j + 1):
+                    factor[j, k] -= share * factor[k, i]
+    if found:
+        for i in range(2, d):
+            for j in range(2, i + 1):
+                left[i, j] = 0.0
+                for k in range(2, j + 1):
+                    if factor[k, k] > 0.0:
+                        left[i, j] += factor[i, k] * factor[j, k] / factor[k, k]
+                left[j, i] = left[i, j]
 
 
 @jit
