@@ -203,6 +203,8 @@ def gnss_line(said: Mapping[str, Any]) -> str:
     first = said["first_alarm"]
     if first is None:
         return f"{line}; no alarm"
+    if said["alarms"] == 1 and said["status"] == first["status"]:
+        return line
     count = f"{said['alarms']} alarms, the first" if said["alarms"] > 1 else "1 alarm"
     return f"{line}; {count} at {moment(first['at_s'])} ({first['status']})"
 

@@ -112,7 +112,7 @@ class Engine:
         if self._navigator.doubt:
             state.book.say("warning", "vertical datum", self._navigator.doubt)
         if state.watching is not None:
-            state.watching.introduce(self.settings.ins_source, state.book)
+            state.watching.introduce(self.settings, state.book)
 
     def _heard(self, data: bytes) -> Heard | None:
         """What a message says, by its first byte."""

@@ -17,12 +17,14 @@ from terranav.core.frozen import changed
 from terranav.core.ins_grade import InsGrade
 from terranav.core.judgement import largest_sigma_m
 from terranav.core.records import Epoch, Estimate, Prior
-from terranav.integrity.gnss import ALARMS, GnssMonitor, GnssReading, GnssState, GnssVerdict
+from terranav.integrity.gnss import ALARMS, GnssMonitor, GnssReading, GnssState, GnssStatus, GnssVerdict
 from terranav.live.book import Book
 from terranav.live.heard import Gnss
+from terranav.live.settings import LiveSettings
 
 KEY = "gnss"
 _FIX_3D = 3  # an autopilot takes no less
+_LASTING_S = 3.0  # a status that is no alarm is remarked on once it has lasted
 _SIGMA_M = 3.0  # of a receiver that tells none, per horizontal axis
 _TOLD = {
     "velocity": (
@@ -51,6 +53,8 @@ class Watching:
         How many began.
     first_alarm : (status, time), optional
         The first of them [s].
+    told : GnssStatus
+        What the latest remark said.
     """
 
     monitor: GnssMonitor
@@ -58,19 +62,26 @@ class Watching:
     began_s: float = math.nan
     alarms: int = 0
     first_alarm: tuple[str, float] | None = None
+    told: GnssStatus = GnssStatus.UNKNOWN
 
     @classmethod
     def of(cls, grade: InsGrade) -> Watching:
         """Before the first epoch, with what is known of the reckoning."""
         return cls(GnssMonitor(grade))
 
-    def introduce(self, ins_source: str, book: Book) -> None:
+    def introduce(self, settings: LiveSettings, book: Book) -> None:
         """Say what GNSS is compared with, and how far that is to be trusted."""
-        level, text = _TOLD[ins_source]
+        level, text = _TOLD[settings.ins_source]
+        if settings.ins is None:
+            grade = settings.grade
+            text += (
+                f"; without --ins that is taken for good to {grade.velocity_sigma_mps:g} m/s and "
+                f"{grade.position_walk_m_per_sqrt_s:g} m/sqrt(s), and a worse one raises false alarms"
+            )
         book.say(level, "gnss monitor", text)
 
     def step(self, epoch: Epoch, estimate: Estimate, heard: tuple[float, Gnss] | None, book: Book) -> GnssVerdict:
-        """What is said of GNSS at an epoch; a change of the status is remarked on.
+        """What is said of GNSS at an epoch; a change is remarked on: an alarm at once, else once it lasts.
 
         Parameters
         ----------
@@ -84,7 +95,6 @@ class Watching:
         """
         if math.isnan(self.began_s):
             self.began_s = epoch.time_s
-        before = self.state.verdict
         if _sound(epoch, estimate):
             reading = None if heard is None else reading_of(*heard)
             try:
@@ -94,20 +104,22 @@ class Watching:
                 book.begins("error", "gnss monitor fault", f"the GNSS monitor failed: {why}", lasting=False)
                 self._anew(self.monitor)
         verdict = self.monitor.verdict(self.state)
-        if verdict.status is not before.status:
-            self._changed(before, verdict, epoch.time_s, book)
+        lasts = verdict.status in ALARMS or epoch.time_s - verdict.since_s >= _LASTING_S
+        if verdict.status is not self.told and lasts:
+            self._changed(verdict, epoch.time_s, book)
         return verdict
 
-    def _changed(self, before: GnssVerdict, verdict: GnssVerdict, now_s: float, book: Book) -> None:
+    def _changed(self, verdict: GnssVerdict, now_s: float, book: Book) -> None:
         """Remark on another status; an alarm stands until it is over."""
+        before, self.told = self.told, verdict.status
         text = f"GNSS {verdict.status}: {'; '.join(verdict.reasons)}"
         if verdict.status in ALARMS:
-            if before.status not in ALARMS:
+            if before not in ALARMS:
                 self.alarms += 1
                 self.first_alarm = self.first_alarm or (str(verdict.status), now_s)
             book.standing.pop(KEY, None)  # one alarm gives way to the other
             book.begins("warning", KEY, text)
-        elif before.status in ALARMS:
+        elif before in ALARMS:
             book.ends(KEY, text)
         else:
             book.say("info", KEY, text)
