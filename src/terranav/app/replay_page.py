@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from terranav.app import reasons, report, tables
+from terranav.app import report
 from terranav.app.console import INCOMPLETE, OK, complain
 from terranav.app.replay_words import Flight, denied_pairs, log_pairs, verdict
 
@@ -35,29 +33,7 @@ def write_page(log: Log, flight: Flight, folder: Path) -> int:
 
 
 def page(log: Log, flight: Flight, pictures: Mapping[str, bytes]) -> str:
-    """The page as one HTML text with the pictures inside; `report.render`, but for its head."""
-    from jinja2 import Environment, StrictUndefined
-
-    from terranav.app.style import STATUS_COLOUR
-
-    outcome = flight.outcome
-    template = files("terranav.app").joinpath("templates/report.html.j2").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    texts = report.captions(outcome)
+    """The report of a flight with the verdict of the replay and the facts of the log at its head."""
     said = verdict([flight])
-    return environment.from_string(template).render(
-        title=outcome.recording.name,
-        verdict=f"{said[0].upper()}{said[1:]}.",
-        cards=report.cards(outcome),
-        facts=[*log_pairs(log), *denied_pairs([flight.denied]), *tables.facts(outcome)],
-        columns=tables.columns(outcome),
-        rows=tables.rows(outcome),
-        main=outcome.main,
-        pictures=[
-            {"stem": stem, "data": base64.b64encode(content).decode(), **texts[stem]}
-            for stem, content in pictures.items()
-        ],
-        integrity=reasons.section(outcome),
-        status_colour=STATUS_COLOUR,
-        provenance=report.provenance_rows(outcome),
-    )
+    facts = [*log_pairs(log), *denied_pairs([flight.denied])]
+    return report.render(flight.outcome, pictures, verdict=f"{said[0].upper()}{said[1:]}.", facts=facts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -24,7 +24,13 @@ def draw(outcome: Outcome) -> dict[str, bytes]:
     return {stem: png(figure) for stem, figure in figures.items() if figure is not None}
 
 
-def render(outcome: Outcome, pictures: Mapping[str, bytes]) -> str:
+def render(
+    outcome: Outcome,
+    pictures: Mapping[str, bytes],
+    *,
+    verdict: str | None = None,
+    facts: Sequence[tuple[str, str]] = (),
+) -> str:
     """The report as one HTML text with the pictures inside.
 
     Parameters
@@ -32,6 +38,10 @@ def render(outcome: Outcome, pictures: Mapping[str, bytes]) -> str:
     outcome : Outcome
     pictures : mapping of file stem to PNG
         As `draw` makes them.
+    verdict : str, optional
+        The sentence at its head; by default what the outcome comes to.
+    facts : sequence of (what, value)
+        Stand before the outcome's own.
     """
     from jinja2 import Environment, StrictUndefined
 
@@ -44,9 +54,9 @@ def render(outcome: Outcome, pictures: Mapping[str, bytes]) -> str:
     texts = captions(outcome)
     return environment.from_string(template).render(
         title=outcome.recording.name,
-        verdict=words.verdict(outcome),
+        verdict=words.verdict(outcome) if verdict is None else verdict,
         cards=cards(outcome),
-        facts=tables.facts(outcome),
+        facts=[*facts, *tables.facts(outcome)],
         columns=tables.columns(outcome),
         rows=tables.rows(outcome),
         main=outcome.main,
