@@ -122,6 +122,18 @@ def embedded(path: Path, options: Mapping[str, Any], prefix: str = "") -> Map | 
     return sample_map()
 
 
+def place_from(name: str, text: str) -> tuple[float, float]:
+    """Latitude and longitude from what was typed."""
+    try:
+        lat, lon = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"{name} is {text!r}, expected latitude,longitude in degrees such as 47.5,9.3") from None
+    return (
+        finite(f"{name} latitude", lat, minimum=-90.0, maximum=90.0),
+        finite(f"{name} longitude", lon, minimum=-180.0, maximum=360.0),
+    )
+
+
 def ins_from(option: str, text: str) -> InsGrade:
     """An INS from what was typed.
 

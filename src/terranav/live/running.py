@@ -101,6 +101,7 @@ class Live:
         """
         loop, tasks = asyncio.get_running_loop(), set[asyncio.Task[None]]()
         for number in (signal.SIGINT, signal.SIGTERM):
+            # only the main thread of a system with signals can; a KeyboardInterrupt or `stop` ends the others
             with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
                 loop.add_signal_handler(number, self.stop)
         try:

@@ -38,14 +38,13 @@ def leg(
     as_json: options.Json = False,
 ) -> int:
     """Say how well the position will be known along a straight leg: the forecast, places that look alike included."""
-    from terranav.app.commands.route import _place
     from terranav.app.console import OK, show_json, working
-    from terranav.app.given import ins_from, one_map
+    from terranav.app.given import ins_from, one_map, place_from
     from terranav.planning.bound import bound
     from terranav.planning.forecast import forecast, leg_recording
     from terranav.planning.suitability import LegSettings
 
-    ends = _place("A", start), _place("B", end)
+    ends = place_from("A", start), place_from("B", end)
     settings = LegSettings(sensor_sigma, rate, speed)
     grade = ins_from("--ins", ins)
     chart = one_map(file, kind=kind, sigma=sigma, crs=crs, variable=variable, unit=unit)

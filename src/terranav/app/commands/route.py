@@ -81,11 +81,11 @@ def route(
 ) -> int:
     """Plan a route from A to B along which the map tells where the vehicle is: 1-sigma under a limit, or the lowest."""
     from terranav.app.console import INCOMPLETE, OK, complain, show_json, working
-    from terranav.app.given import folder_for, ins_from, one_map
+    from terranav.app.given import folder_for, ins_from, one_map, place_from
     from terranav.io.routes import read_keep_out
     from terranav.planning.route import RouteSettings, plan_route
 
-    ends = _place("A", start), _place("B", end)
+    ends = place_from("A", start), place_from("B", end)
     settings = RouteSettings(
         limit, None if extra is None else extra / 100.0, start_sigma, 1000.0 * settle, sensor_sigma, rate, speed,
         turn_radius, clearance, climb, ceiling, altimeter_range, keep_out_margin,
@@ -104,21 +104,6 @@ def route(
     for doubt in _doubts(found, facts):
         complain(doubt, "warning")
     return OK if found.kept else INCOMPLETE
-
-
-def _place(name: str, text: str) -> tuple[float, float]:
-    """Latitude and longitude from what was typed."""
-    from terranav.core.checks import finite
-    from terranav.core.errors import ConfigError
-
-    try:
-        lat, lon = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigError(f"{name} is {text!r}, expected latitude,longitude in degrees such as 47.5,9.3") from None
-    return (
-        finite(f"{name} latitude", lat, minimum=-90.0, maximum=90.0),
-        finite(f"{name} longitude", lon, minimum=-180.0, maximum=360.0),
-    )
 
 
 def _write(found: Route, chart: Map, areas: Sequence[Any], out: Path) -> dict[str, str]:
