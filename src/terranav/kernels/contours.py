@@ -13,7 +13,7 @@ import numpy as np
 
 from terranav.kernels.jit import jit
 
-TOLERANCE_M = 0.01  # costs this near to one another are one: the simplex has collapsed
+TOLERANCE_M = 1e-4  # costs this near to one another are one: the simplex has collapsed
 
 
 @jit

@@ -82,6 +82,11 @@ class Optimisations:
     misfit: FloatArray
     information: FloatArray
 
+    def best_near(self, chosen: int, within_m: float) -> int:
+        """The best result of the place of `chosen`: which of those there a judge takes may hang on rounding alone."""
+        away = np.hypot(*(self.places_m - self.places_m[chosen]).T)
+        return int(np.argmax(away < within_m))
+
 
 @dataclass(frozen=True)
 class _Frame:

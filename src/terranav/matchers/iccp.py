@@ -264,11 +264,12 @@ class Iccp:
         limits = (self.m, self.n, self.agree_m, self._pdaf_sigma_m(state))
         decision, memory = decide(self.judge, found.places_m, found.target_m, state.memory, limits)
         means, covs, weight = _gaussians(found, search, fresh / self.window, self.maps[0].cell_m)
-        nis = float(np.nanmean(found.misfit[decision.chosen] ** 2))
+        chosen = found.best_near(decision.chosen, self.maps[0].cell_m) if self.fuse else decision.chosen
+        nis = float(np.nanmean(found.misfit[chosen] ** 2))
         now = state.window[-1].time_s
         state = replace(state, memory=memory, matched_s=now, latest=Match(found, decision, weight))
         if decision.accepted and not (self.fuse and nis > self._limits.nis_lost):
-            mean = means[decision.chosen] if self.fuse else found.places_m[decision.chosen]
+            mean = means[chosen] if self.fuse else found.places_m[chosen]
             off = means - mean
             cov = np.einsum("k,kij->ij", weight, covs) + np.einsum("k,ki,kj->ij", weight, off, off)
             walk = self.ins.position_walk_m_per_sqrt_s**2 * 0.5 * (now - state.window[0].time_s)
