@@ -230,8 +230,8 @@ def test_a_strapdown_ins_errs_as_the_model_says(name: str, winding: Trajectory, 
 
 @pytest.mark.parametrize("name", ["tactical", "industrial"])
 def test_covariance_is_that_of_simulated_flights(name: str) -> None:
-    """NEES of position and velocity over flights with turns; 60 runs of 4 figures, within 99.9 % of chi-square."""
-    runs, grade = 60, replace(GRADES[name], position_sigma_m=50.0)
+    """NEES of position and velocity over flights with turns; 30 runs of 4 figures, within 99.9 % of chi-square."""
+    runs, grade = 30, replace(GRADES[name], position_sigma_m=50.0)
     dense = fly(Route(ROUND, 90.0), 10.0)
     truth, marks = dense.every(10), (60, 120, 180)
     error_model = ErrorModel(grade, (), "strapdown")

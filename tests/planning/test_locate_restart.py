@@ -83,5 +83,5 @@ def test_an_ambiguous_place_gives_no_prior() -> None:
     along = 50.0 * np.arange(60, dtype=np.float64)
     track = Track(along, 0.5 * along, np.random.default_rng(1).normal(0.0, 2.0, 60), 2.0)
     found = locate(track, chart, LocateSettings(most_places=500))
-    with pytest.raises(StateError, match="no prior from a place that is not searched to the end: search stopped: more than 500"):
+    with pytest.raises(StateError, match="that is not searched to the end: search stopped: more than 500"):
         found.prior(*chart.centre_deg)

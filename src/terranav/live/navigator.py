@@ -179,7 +179,7 @@ class Navigator:
         """Start anew where the track broke: at the corrected position, as uncertain as the break makes it."""
         memory = self.memory
         estimate = memory.estimate
-        spread = np.eye(2) * broken.spread_m**2
+        spread = np.eye(2) * broken.spread_m**2 / 3.0  # anything within that, each as likely
         if estimate is None or memory.state is None:  # it has not started since the last break
             memory.prior = replace(memory.prior, cov_m2=memory.prior.cov_m2 + spread)
             return
