@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("same", derandomize=True)  # the same examples on every machine and in every run
+#: the same examples on every machine and in every run, however long they take: the first often compiles
+settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile("same")
 
 SHARED = Path(os.environ.get("TERRANAV_SHARED", Path(__file__).resolve().parents[2] / "shared"))

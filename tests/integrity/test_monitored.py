@@ -44,6 +44,32 @@ def test_healthy_flights_are_offered_and_never_lost() -> None:
         assert np.isfinite(run.level_m).all()
 
 
+@pytest.mark.parametrize("rate_hz", [10, 25])
+def test_readings_that_share_a_map_cell_are_one_witness(rate_hz: int) -> None:
+    """A sensor many times as fast: the fix is found, offered and kept as with one reading a second."""
+    for seed in range(3):
+        chart = ground(seed)
+        run = flown([chart], flight([chart], seed, readings=200 * rate_hz, rate_s=1.0 / rate_hz), seed)
+        assert "lost" not in run.status
+        assert not run.beyond().any()
+        assert run.usable[120 * rate_hz :].mean() > 0.9
+        assert run.off_m[-1] < 60.0
+
+
+def test_a_vehicle_that_hovers_hears_its_sensor() -> None:
+    """Readings of one place count every half minute: often enough that the map is not thought to be silent."""
+    chart = ground()
+    moving = flight([chart], 0)
+    last = moving.epochs[-1]
+    hover = tuple(replace(last, time_s=last.time_s + 1.0 + i) for i in range(400))
+    error_m = np.concatenate([moving.error_m, np.repeat(moving.error_m[-1:], 400, axis=0)])
+    run = flown([chart], Flight((*moving.epochs, *hover), error_m), 0)
+    counted = [state.readings for state in run.states[-400:]]
+    assert counted[-1] - counted[0] == 13
+    assert run.states[-1].silence_s == 0.0
+    assert not run.beyond().any()
+
+
 def test_a_fix_is_on_probation_before_it_is_offered() -> None:
     run = flown([ground()], flight([ground()], 1, readings=120))
     first = int(np.argmax(run.usable))

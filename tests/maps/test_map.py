@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -63,7 +63,6 @@ def test_the_sample_dem_lies_the_right_way_up() -> None:
 
 
 @pytest.mark.parametrize("method", ["bilinear", "bicubic"])
-@settings(deadline=None)  # the first example compiles
 @given(level=st.integers(-2000, 2000))
 def test_a_datum_shift_shifts_every_sample(method: Any, level: int) -> None:
     m = a_map(VALUES.round())

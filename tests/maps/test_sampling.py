@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
@@ -32,7 +32,6 @@ def scattered(n: int = 500) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("method", KERNELS)
-@settings(deadline=None)  # the first example compiles
 @given(plane_of=st.tuples(whole, whole, whole), shape=st.tuples(st.integers(2, 6), st.integers(2, 6)))
 def test_planes_are_exact_up_to_the_edge(method: str, plane_of: tuple[int, int, int], shape: tuple[int, int]) -> None:
     (c, a, b), (rows, cols) = plane_of, shape

@@ -16,6 +16,7 @@ from typing import Any
 from numpy.random import Generator
 
 from terranav.core.checks import finite
+from terranav.core.earth import offset_of
 from terranav.core.errors import ConfigError
 from terranav.core.frozen import changed
 from terranav.core.ins_grade import InsGrade
@@ -24,13 +25,14 @@ from terranav.core.protocols import Watched
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.integrity import judging, mending, rivals
 from terranav.integrity.protection import Tail, tail_of
-from terranav.integrity.state import MonitorState
+from terranav.integrity.state import MonitorState, Place
 from terranav.integrity.windows import Window, noise_factor
 from terranav.maps.map import Map
 
 RIVALS_SIGMA = 4.0  # how far rivals are looked for, in sigmas of the area that was searched
 FARTHEST_M, FARTHEST_CELLS = 4000.0, 60.0  # but no farther than the larger of these
 BUDGET = 0.5  # of the risk for the posterior, and as much for the rivals
+APART_CELLS, STILL_S = 0.5, 30.0  # readings nearer than that, and sooner, count once
 STRIDE = 4  # once the rivals were refuted, every fourth reading is weighed
 GAP_MEMORY = 0.1
 
@@ -109,12 +111,13 @@ class Monitored:
     def step(self, state: MonitorState, epoch: Epoch, rng: Generator) -> MonitorState:
         """Step the estimator, test, mend, judge."""
         kinds = {chart.kind for chart in self.maps}
-        told = _with_factors(epoch, state)
+        told, counted = self._counting(_with_factors(epoch, state), state)
         inner = self.estimator.step(state.inner, told, rng)
         readings = tuple(reading for reading in told.measurements if reading.kind in kinds)
         innovations = self.estimator.innovations(inner)
         start_s = epoch.time_s if state.epoch is None else state.start_s
-        after = self._located(state, inner, readings, epoch=told, start_s=start_s, innovations=innovations)
+        more = {"epoch": told, "start_s": start_s, "innovations": innovations, "counted": counted}
+        after = self._located(state, inner, readings, **more)
         after = self._weighed(_seen(self, after, readings), readings)
         after = _settled(self, mending.mended(self, after, rng))
         return changed(after, verdict=judging.verdict(self, after), anchors=judging.anchors(self, after))
@@ -134,6 +137,28 @@ class Monitored:
     def posterior(self, state: MonitorState) -> Posterior:
         """Of the estimator."""
         return self.estimator.posterior(state.inner)
+
+    def _counting(self, epoch: Epoch, state: MonitorState) -> tuple[Epoch, tuple[Place, ...]]:
+        """The epoch without readings less than half a map cell from the latest of their kind, and the latest with it.
+
+        Within a cell readings share the map's error and the place for which it speaks. Ten of them are not ten
+        witnesses: the filter would settle on a wrong place, the tests refute the right one, for what is wrong there.
+        """
+        cells = {chart.kind: chart.cell_m for chart in self.maps}
+        before = {place[0]: place for place in state.counted}
+        kept = []
+        for reading in epoch.measurements:
+            if reading.kind in cells and reading.kind in before:
+                _, time_s, lat_deg, lon_deg = before[reading.kind]
+                moved_m = math.hypot(*offset_of(lat_deg, lon_deg, epoch.lat_deg, epoch.lon_deg))
+                if moved_m < APART_CELLS * cells[reading.kind] and epoch.time_s - time_s < STILL_S:
+                    continue
+            kept.append(reading)
+            before[reading.kind] = reading.kind, epoch.time_s, epoch.lat_deg, epoch.lon_deg
+        counted = tuple(before.values())
+        if len(kept) == len(epoch.measurements):
+            return epoch, counted
+        return changed(epoch, measurements=tuple(kept)), counted
 
     def _located(self, state: MonitorState, inner: Any, readings: tuple[Measurement, ...], **rest: Any) -> MonitorState:
         """Where the estimate is now, and how far its cloud reaches; rivals of an estimate that jumped are gone.
