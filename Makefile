@@ -5,12 +5,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PEERS := $(VENV)/peers
 
-.PHONY: demo test check bench setup peers pins clean
+.PHONY: demo test check bench setup peers kernels pins clean
 
 demo: $(STAMP)
 	$(BIN)/terranav demo --out terranav-demo
 
-test: check peers
+test: $(STAMP)
+	@$(MAKE) --no-print-directory --jobs=2 check peers kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2  # two workers share two cores
 
 check: $(STAMP)
@@ -34,6 +35,10 @@ $(STAMP): requirements/dev.txt pyproject.toml
 # Programs that tests fly with, in a folder of their own; without them their tests are skipped, and say so.
 peers: $(STAMP)
 	@test $(PEERS)/.installed -nt requirements/peers.txt || { rm -rf $(PEERS) && $(BIN)/python -m pip install --quiet --disable-pip-version-check --retries 1 --timeout 20 --no-deps --no-compile --require-hashes --target $(PEERS) -r requirements/peers.txt && touch $(PEERS)/.installed; } || echo "peers: not installed, their tests are skipped"
+
+# The demo compiles kernels that most tests use: once, while types are checked, and not by each worker.
+kernels: $(STAMP)
+	@$(BIN)/terranav demo --out $(VENV)/demo > /dev/null
 
 pins:
 	uv pip compile --quiet --no-deps --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-header requirements/peers.in -o requirements/peers.txt

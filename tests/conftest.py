@@ -15,6 +15,11 @@ settings.load_profile("same")
 SHARED = Path(os.environ.get("TERRANAV_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes minutes comes first, so that one worker does not end long after the other."""
+    items.sort(key=lambda item: item.path.name != "test_environments.py")
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real flights, cruises and maps; skips the test where it is not."""

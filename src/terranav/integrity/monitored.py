@@ -32,7 +32,7 @@ from terranav.maps.map import Map
 RIVALS_SIGMA = 4.0  # how far rivals are looked for, in sigmas of the area that was searched
 FARTHEST_M, FARTHEST_CELLS = 4000.0, 60.0  # but no farther than the larger of these
 BUDGET = 0.5  # of the risk for the posterior, and as much for the rivals
-APART_CELLS, STILL_S = 0.5, 30.0  # readings nearer than that, and sooner, count once
+APART_CELLS, STILL_S = 0.2, 30.0  # readings nearer than that, and sooner, count once
 STRIDE = 4  # once the rivals were refuted, every fourth reading is weighed
 GAP_MEMORY = 0.1
 
@@ -139,7 +139,7 @@ class Monitored:
         return self.estimator.posterior(state.inner)
 
     def _counting(self, epoch: Epoch, state: MonitorState) -> tuple[Epoch, tuple[Place, ...]]:
-        """The epoch without readings less than half a map cell from the latest of their kind, and the latest with it.
+        """The epoch without readings less than a fifth of a map cell from the latest of their kind; the latest with it.
 
         Within a cell readings share the map's error and the place for which it speaks. Ten of them are not ten
         witnesses: the filter would settle on a wrong place, the tests refute the right one, for what is wrong there.
