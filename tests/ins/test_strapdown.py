@@ -106,7 +106,8 @@ def test_the_altitude_follows_the_barometer(level: Trajectory) -> None:
 
 
 def test_same_generator_same_bits(level: Trajectory) -> None:
-    one, two, other = (run(level, GRADES["tactical"], seed, imu_rate_hz=10.0) for seed in (4, 4, 5))
+    short = Trajectory(*(getattr(level, key)[:601] for key in Trajectory.__dataclass_fields__))
+    one, two, other = (run(short, GRADES["tactical"], seed, imu_rate_hz=10.0) for seed in (4, 4, 5))
     for key in ("lat_deg", "lon_deg", "alt_m", "velocity_mps", "attitude_deg"):
         np.testing.assert_array_equal(getattr(one, key), getattr(two, key))
     assert not np.array_equal(one.lat_deg, other.lat_deg)

@@ -304,7 +304,7 @@ def drawn(chart: Map, rng: np.random.Generator, epochs: int = 200) -> Recording:
 def test_the_filter_comes_close_to_it() -> None:
     chart = gaussian_map(np.random.default_rng(8), std=150.0, correlation_m=800.0, cell_m=90.0, cells=400, sigma=4.0)
     squared, bounds = [], []
-    for seed in range(60):
+    for seed in range(40):
         rec = drawn(chart, np.random.default_rng(seed))
         found: Result = tn.run("marginalized", rec, chart, seed=seed)
         squared.append(np.sum(found.error_m**2, axis=1))
