@@ -13,6 +13,7 @@ import pytest
 from terranav.core.errors import DataError
 from terranav.io.logs import Log, open_log
 from terranav.io.logs.found import attitude_deg, pressure_altitude_m
+from terranav.io.logs.opening import format_of
 from tests.io.logs.flights import Flight, dataflash, flight, fmt, message, nmea, quaternion, sentence, tlog, ulog
 
 
@@ -182,6 +183,22 @@ def test_px4_without_a_global_position_uses_the_local_one(file: Path) -> None:
     )
     # PX4's own sphere is undone: over 12 km nothing is left but single precision
     assert log.facts["own_position"]["from_gnss_m"]["max"] < 0.01
+
+
+def test_a_tlog_in_which_a_dataflash_log_was_streamed_is_a_tlog(file: Path) -> None:
+    """REMOTE_LOG_DATA_BLOCK holds what a .BIN begins with; a damaged byte before it changes nothing."""
+    dialect = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega", reason="needs the extra 'logs'")
+    made = flight(10.0)
+    plain_log, flash = tlog(made), dataflash(made)
+    block = dialect.MAVLink_remote_log_data_block_message(255, 190, 0, flash[:200])
+    streamed = plain_log[:8] + bytes(block.pack(dialect.MAVLink(None)))
+    for content in (streamed + plain_log, b"?" + streamed + plain_log, plain_log[:200] + flash[:3000] + plain_log):
+        file.write_bytes(content)
+        assert format_of(file) == "tlog"
+    assert opened(file, streamed + plain_log).facts["whole"]
+    for content in (flash, b"?" + flash, flash[:3000] + plain_log):
+        file.write_bytes(content)
+        assert format_of(file) == "dataflash"
 
 
 def test_several_vehicles_and_a_ground_station_in_one_tlog(file: Path) -> None:

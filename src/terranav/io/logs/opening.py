@@ -93,10 +93,11 @@ def format_of(file: Path) -> str:
     for magic, kind in _MAGIC.items():
         if head.startswith(magic):
             return kind
-    if b"\xa3\x95\x80" in head[:4096]:
-        return "dataflash"
-    if _is_tlog(head):
+    flash, frames = head[:4096].find(b"\xa3\x95\x80"), _tlog_begins(head)
+    if frames >= 0 and not 0 <= flash < frames:  # a telemetry log may hold a DataFlash log that was streamed
         return "tlog"
+    if flash >= 0:
+        return "dataflash"
     if _NMEA.search(head):
         return "nmea"
     if b"\0" not in head:
@@ -111,8 +112,8 @@ def format_of(file: Path) -> str:
     raise DataError(f"{file}: begins with {shown}, expected {_WHAT}; for any other table: terranav convert")
 
 
-def _is_tlog(head: bytes) -> bool:
-    """Whether MAVLink frames, each after a time stamp, follow one another somewhere in the head."""
+def _tlog_begins(head: bytes) -> int:
+    """Where in the head MAVLink frames, each after a time stamp, begin to follow one another; -1 where they do not."""
     for start in range(min(len(head), 4096) - 17):
         if head[start + 8] not in (0xFD, 0xFE):
             continue
@@ -121,8 +122,8 @@ def _is_tlog(head: bytes) -> bool:
             continue
         after = start + 8 + frame_bytes(head, start + 8)
         if after + 9 > len(head) or head[after + 8] in (0xFD, 0xFE):
-            return True
-    return False
+            return start
+    return -1
 
 
 def frame_bytes(data: bytes, at: int) -> int:
