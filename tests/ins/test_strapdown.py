@@ -60,7 +60,7 @@ def test_a_track_of_one_sample_a_second_will_do(winding: Trajectory) -> None:
     assert np.abs(error(track, out)).max() < 2.0
 
 
-@pytest.mark.parametrize("name", ["navigation", "industrial"])
+@pytest.mark.parametrize("name", ["navigation", "tactical", "industrial"])
 def test_errors_grow_as_the_grade_says(name: str, level: Trajectory) -> None:
     """RMS over 16 runs and two axes against the formula of InsGrade, which was written without this simulation."""
     grade = GRADES[name]

@@ -25,7 +25,7 @@ from terranav.core.protocols import Watched
 from terranav.core.records import Epoch, Estimate, Measurement, Posterior, Prior
 from terranav.integrity import judging, mending, rivals
 from terranav.integrity.protection import Tail, tail_of
-from terranav.integrity.state import MonitorState, Place
+from terranav.integrity.state import Counted, MonitorState
 from terranav.integrity.windows import Window, noise_factor
 from terranav.maps.map import Map
 
@@ -138,14 +138,16 @@ class Monitored:
         """Of the estimator."""
         return self.estimator.posterior(state.inner)
 
-    def _counting(self, epoch: Epoch, state: MonitorState) -> tuple[Epoch, tuple[Place, ...]]:
+    def _counting(self, epoch: Epoch, state: MonitorState) -> tuple[Epoch, tuple[Counted, ...]]:
         """The epoch without readings less than a fifth of a map cell from the latest of their kind; the latest with it.
 
         Within a cell readings share the map's error and the place for which it speaks. Ten of them are not ten
         witnesses: the filter would settle on a wrong place, the tests refute the right one, for what is wrong there.
         """
+        if not epoch.measurements:
+            return epoch, state.counted
         cells = {chart.kind: chart.cell_m for chart in self.maps}
-        before = {place[0]: place for place in state.counted}
+        before = {one[0]: one for one in state.counted}
         kept = []
         for reading in epoch.measurements:
             if reading.kind in cells and reading.kind in before:

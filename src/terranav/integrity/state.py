@@ -15,7 +15,7 @@ from terranav.integrity.rivals import Rivals, Standing
 from terranav.integrity.windows import Window
 
 FloatArray = NDArray[np.float64]
-Place = tuple[str, float, float, float]  # kind, time [s], latitude, longitude [deg]
+Counted = tuple[str, float, float, float]  # kind, time [s], latitude, longitude [deg]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class MonitorState:
         How many times larger the sigmas of a kind's readings are taken than told.
     innovations : tuple of Innovation
         Of the latest epoch's readings that count.
-    counted : tuple of Place
+    counted : tuple of Counted
         The latest reading of each kind that counted.
     """
 
@@ -142,7 +142,7 @@ class MonitorState:
     left_out: tuple[LeftOut, ...] = ()
     factors: tuple[tuple[str, float], ...] = ()
     innovations: tuple[Innovation, ...] = ()
-    counted: tuple[Place, ...] = ()
+    counted: tuple[Counted, ...] = ()
     verdict: Verdict = field(default_factory=Verdict)
 
     @property
